@@ -16,9 +16,9 @@ use std::io::{BufWriter, Read, Write};
 use std::rc::Rc;
 use std::time::Duration;
 
-use flockeye_capture::core::Core as Capture;
+use flockeye_capture::core::{Core as Capture, FrameSettings};
 use flockeye_capture::{Event as SourceEvent, Source, SourceParameters};
-use flockeye_config::{Flow, Pipeline, Resolved};
+use flockeye_config::{Pipeline, Resolved};
 use flockeye_contract::{DetectionHeader, FrameHeader, PixelFormat, Track, ViewHeader};
 use flockeye_convert::projection_of;
 use flockeye_detection::core::Core as Detection;
@@ -27,8 +27,7 @@ use flockeye_fusion::{
 };
 use flockeye_rectification::core::{Action, Core as Rectification, CutOrder, Event};
 use flockeye_rectification::cpu::CpuRectifier;
-use flockeye_rectification::cutting::{Cutter, view_header};
-use flockeye_rectification::proposing::Proposing;
+use flockeye_rectification::cutting::Cutter;
 use flockeye_rectification::standby::Standby;
 use flockeye_runtime::health::SharedCounters;
 
@@ -73,7 +72,7 @@ fn decode(video: &str, count: u64, file: &str) {
     let resolved = resolved(video, None);
     let parameters = SourceParameters::of(&resolved.pipeline);
     let mut source = Source::open(video.parse().unwrap(), parameters).unwrap();
-    let mut capture = Capture::new(Flow::Lossless, 0);
+    let mut capture = Capture::new(FrameSettings::of(&resolved, 0));
     let mut out = BufWriter::new(File::create(file).unwrap());
     for _ in 0..count {
         let picture = loop {
@@ -85,7 +84,7 @@ fn decode(video: &str, count: u64, file: &str) {
         };
         let stream_ns = picture.time().stream_ns;
         let header = FrameHeader {
-            stamp: capture.on_picture(picture.time(), stream_ns).stamp,
+            stamp: capture.on_picture(&picture.facts(), stream_ns).0.stamp,
             width: picture.width(),
             height: picture.height(),
             stride: picture.width(),
@@ -128,7 +127,6 @@ impl Pixels for View {
 struct Cores {
     rectification: Rectification<Rc<Vec<u8>>>,
     cutter: Cutter,
-    proposing: Proposing,
     detection: Detection,
     fusion: Configured<View>,
     background: Option<BackgroundRunner>,
@@ -160,7 +158,6 @@ impl Cores {
         Self {
             rectification: Rectification::of(resolved, 0, 0).unwrap(),
             cutter: Cutter::new(standby, resolved.camera),
-            proposing: Proposing::of(resolved).unwrap(),
             detection: Detection::new(resolved, 0, 0).unwrap(),
             fusion,
             background,
@@ -174,12 +171,17 @@ impl Cores {
     fn rectify(&mut self) {
         loop {
             match self.rectification.step(self.now_ns) {
-                Action::TakeUp(frame) => {
-                    let held = self.rectification.held_mut(frame).unwrap();
-                    let likely = std::mem::take(&mut held.likely);
-                    self.cutter.order(held, |luma| luma, &likely).unwrap();
+                Action::TakeUp { frame, likely } => {
+                    let (header, luma) = self.rectification.frame(frame).unwrap();
+                    self.cutter.announce(header, luma, &likely).unwrap();
                 }
-                Action::Cut(order) => self.cut(order),
+                Action::Look { frame, search } => {
+                    let (header, luma) = self.rectification.frame(frame).unwrap();
+                    let found = self.cutter.look(header, luma, &search).unwrap();
+                    let looked = Event::Looked { frame, found, took_ns: 0 };
+                    self.rectification.on(looked, self.now_ns);
+                }
+                Action::Cut(order) => self.cut(&order),
                 Action::End(end) => {
                     self.fusion.core.on(FusionEvent::FrameEnd(end), self.now_ns);
                     self.fuse();
@@ -190,23 +192,12 @@ impl Cores {
     }
 
     /// Cuts a view, searches it, and gives fusion both.
-    fn cut(&mut self, order: CutOrder) {
-        let held = self.rectification.held_mut(order.frame).unwrap();
-        if held.job.awaits_places() && held.job.proposal(order.view_index).is_some() {
-            self.cutter.propose(held, |luma| luma, &mut self.proposing).unwrap();
-            let proposals = held.job.proposal_indices();
-            self.cutter.order(held, |luma| luma, &proposals).unwrap();
-            self.rectification.on(Event::Looked { took_ns: 0 }, self.now_ns);
-        }
-        let held = self.rectification.held_mut(order.frame).unwrap();
-        let (view, _) = held.job.view(order.view_index).unwrap();
-        let mut pixels = vec![0; (view.size_px as usize).pow(2)];
-        self.cutter.cut(held, |luma| luma, order, &mut pixels).unwrap();
-        if let Some(place) = held.job.proposal(order.view_index) {
-            self.proposing.note_cut(place);
-        }
-        let header: ViewHeader = view_header(&held.job, order, 0, self.now_ns).unwrap();
-        self.rectification.on(Event::Published { order, took_ns: 0 }, self.now_ns);
+    fn cut(&mut self, order: &CutOrder) {
+        let (frame, luma) = self.rectification.frame(order.frame()).unwrap();
+        let mut pixels = vec![0; (order.header.size_px as usize).pow(2)];
+        self.cutter.cut(frame, luma, order, &mut pixels).unwrap();
+        let header = ViewHeader { issued_ns: self.now_ns, ..order.header };
+        self.rectification.on(Event::Published { header, took_ns: 0 }, self.now_ns);
         let found = self.detection.on_view(&header, &pixels).unwrap();
         assert!(found.failure.is_none());
         let answer =

@@ -1,10 +1,12 @@
-//! Measures this machine's graphics processor beside its processor, and prints the table of docs/results/gpu.md:
+//! Measures this machine's graphics processor beside its processor, and prints the table of
+//! docs/results/gpu.md:
 //!
 //! ```text
 //! cargo run --release -p flockeye-rectification --example back_ends
 //! ```
 //!
-//! Frames of 3840 x 1920 px give 12 and 24 views, as the stage orders them. The greys of both are compared.
+//! Frames of 3840 x 1920 px give 12 and 24 views, as the stage orders them. The greys of both are
+//! compared.
 #![allow(
     clippy::unwrap_used,
     reason = "the cuts are sound, and a lost device shall end the program"

@@ -10,7 +10,7 @@ use crate::rectifier::{Rectifier, RectifyError};
 
 /// Which back end a user asks for (`rectification.backend` in pipeline.yaml).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum BackendChoice {
+pub(crate) enum BackendChoice {
     /// A graphics processor if there is a real one, the processor otherwise.
     #[default]
     Auto,
@@ -30,8 +30,8 @@ impl From<Backend> for BackendChoice {
     }
 }
 
-/// What there is to say of this machine's graphics processors before a flight.
-pub fn examine(choice: BackendChoice) -> Vec<Finding> {
+/// Findings about this machine's graphics processors, before a flight.
+pub(crate) fn examine(choice: BackendChoice) -> Vec<Finding> {
     const TOPIC: &str = "graphics";
     const CURE: &str = "install the driver (mesa-vulkan-drivers for Intel and AMD), and let the user be in the \
                         groups video and render";
@@ -69,8 +69,8 @@ pub fn examine(choice: BackendChoice) -> Vec<Finding> {
 /// works with up to `threads` threads.
 ///
 /// # Errors
-/// `Gpu` was asked for and there is none that works, or it cannot hold a frame.
-pub fn choose_backend(
+/// `Gpu` was asked for and there is none that works, or it has no room for a frame.
+pub(crate) fn choose_backend(
     choice: BackendChoice,
     threads: usize,
     camera: &Camera,

@@ -1,8 +1,8 @@
 //! When the next frame is due, and what still fits before it.
 //!
-//! Tiles are searched in the time that is left of a frame. A late source, which decodes or draws on the
-//! same processors, would be later still if the search went on until its frame came. And the regions of
-//! interest of that frame would wait for the tile that is being cut.
+//! Tiles are searched in the time that is left of a frame. A late source, which decodes or draws on
+//! the same processors, would be later still if the search went on until its frame came. And the
+//! regions of interest of that frame would wait for the tile that is being cut.
 
 use std::collections::VecDeque;
 
@@ -14,18 +14,19 @@ const FRAMES: usize = 32;
 /// The weight of the last cut in the mean time of a cut, and of the last look in that of a look.
 const CUT_SHARE: f64 = 0.1;
 
-/// The longest search decays by this factor with each tile, so that one slow search counts for about ten.
+/// The longest search decays by this factor with each tile, so that one slow search counts for
+/// about ten.
 const FORGETTING: f64 = 0.9;
 
 /// Bursts that must have been seen before they are expected.
 const MIN_BURSTS: usize = 4;
 
-/// Longer searches are counted as this long, whatever a worker says. Nanoseconds.
+/// Limit for the time of a search that a worker reports, nanoseconds.
 const LONGEST_SEARCH_NS: i64 = 1_000_000_000;
 
 /// The last frames of a source, and how long tiles took.
 #[derive(Debug, Clone, Default)]
-pub struct Cadence {
+pub(crate) struct Cadence {
     frames: VecDeque<(FrameStamp, i64)>,
     cut_ns: f64,
     look_ns: f64,
@@ -34,7 +35,7 @@ pub struct Cadence {
 
 impl Cadence {
     /// A frame came at `received_ns`, CLOCK_MONOTONIC.
-    pub fn note(&mut self, stamp: &FrameStamp, received_ns: i64) {
+    pub(crate) fn note(&mut self, stamp: &FrameStamp, received_ns: i64) {
         let goes_on = |last: &FrameStamp| {
             let source = |stamp: &FrameStamp| (stamp.source_generation, stamp.epoch);
             source(last) == source(stamp) && last.sequence < stamp.sequence
@@ -49,39 +50,40 @@ impl Cadence {
     }
 
     /// A tile was cut.
-    pub fn note_cut(&mut self, took_ns: i64) {
+    pub(crate) fn note_cut(&mut self, took_ns: i64) {
         self.cut_ns += CUT_SHARE * (took_ns as f64 - self.cut_ns);
     }
 
     /// The picture was looked at for places like a body.
-    pub fn note_look(&mut self, took_ns: i64) {
+    pub(crate) fn note_look(&mut self, took_ns: i64) {
         self.look_ns += CUT_SHARE * (took_ns as f64 - self.look_ns);
     }
 
-    /// A tile was searched for `took_ns`, as its worker says.
-    pub fn note_search(&mut self, took_ns: i64) {
+    /// A tile was searched for `took_ns`, as its worker reports.
+    pub(crate) fn note_search(&mut self, took_ns: i64) {
         let took_ns = took_ns.clamp(0, LONGEST_SEARCH_NS) as f64;
         self.search_ns = (FORGETTING * self.search_ns).max(took_ns);
     }
 
-    /// Whether a view can be cut before the next frame is due, after a look for places if it needs one. It is
-    /// taken for a tile, because smaller ones are cut sooner. True while that is not known.
-    pub fn has_time_to_cut(&self, needs_look: bool, now_ns: i64) -> bool {
+    /// Whether a view can be cut before the next frame is due, after a look for places if it needs
+    /// one. It is taken for a tile, because smaller ones are cut sooner. True while that is not
+    /// known.
+    pub(crate) fn has_time_to_cut(&self, needs_look: bool, now_ns: i64) -> bool {
         let look_ns = if needs_look { self.look_ns } else { 0.0 };
         let cut_ns = now_ns.saturating_add((look_ns + self.cut_ns) as i64);
         self.due_ns().is_none_or(|due_ns| cut_ns < due_ns)
     }
 
-    /// Whether a tile and the one that is being searched will both have been searched before the next frame
-    /// is due.
-    pub fn has_time_to_cut_ahead(&self, now_ns: i64) -> bool {
+    /// Whether a tile and the one that is being searched will both have been searched before the
+    /// next frame is due.
+    pub(crate) fn has_time_to_cut_ahead(&self, now_ns: i64) -> bool {
         let searched_ns = now_ns.saturating_add(2 * self.search_ns as i64);
         self.search_ns > 0.0 && self.due_ns().is_some_and(|due_ns| searched_ns < due_ns)
     }
 
     /// When the frame after the last one will be here if it is as quick as the quickest lately,
     /// CLOCK_MONOTONIC, nanoseconds; `None` while that is not known.
-    pub fn due_ns(&self) -> Option<i64> {
+    pub(crate) fn due_ns(&self) -> Option<i64> {
         let ((first, _), (last, _)) = (self.frames.front()?, self.frames.back()?);
         let frames = i64::try_from(last.sequence.checked_sub(first.sequence)?).ok()?;
         let interval_ns = last.exposure_ns.checked_sub(first.exposure_ns)?.checked_div(frames)?;
@@ -93,8 +95,9 @@ impl Cadence {
         (interval_ns > 0).then_some(due_ns.max(next_burst_ns))
     }
 
-    /// When the next burst begins, if frames of this interval come in bursts: a pause follows each burst,
-    /// and ending the search with the frame's own interval would waste it. `None` for a steady source.
+    /// When the next burst begins, if frames of this interval come in bursts: a pause follows each
+    /// burst, and ending the search with the frame's own interval would waste it. `None` for a
+    /// steady source.
     fn next_burst_ns(&self, interval_ns: i64) -> Option<i64> {
         let mut begun: Vec<i64> = Vec::new();
         let mut last_ns = None;

@@ -1,112 +1,54 @@
-//! The core of rectification: frames, plans and answers with their times in, orders to cut views and
-//! frame ends out. It holds no port, no clock and no thread.
+//! The core of rectification: frames, plans and answers with their times in, orders to cut views
+//! and frame ends out. It has no port, no clock and no thread.
 //!
-//! [`Core::on`] notes an event. [`Core::step`] says what to do next; it is called again until it says
-//! that there is nothing to do. The pixels stay in the core's hold `F` on a frame, which it never looks
-//! into.
+//! [`Core::on`] takes an event. [`Core::step`] gives the next action; it is called again until
+//! there is none. The core owns each frame by an `F`, whose pixels it never reads.
 
-use std::collections::BTreeSet;
+mod active_frame;
+mod events;
+
 use std::time::Duration;
 
 use flockeye_config::{Flow, Resolved};
 use flockeye_contract::{
     DetectionHeader, FrameEnd, FrameHeader, FrameOrder, PlanHeader, PlannedView, StopReason,
-    StopRule,
+    StopRule, ViewHeader,
 };
+use flockeye_geometry::camera::Camera;
 use flockeye_geometry::view::View;
+use flockeye_imaging::proposals::Proposal;
 
-use crate::dispatch::{Answer, Dispatcher};
+use self::active_frame::{ActiveFrame, Recipient};
+pub use self::events::{Action, CutOrder, Event};
+use crate::dispatch::{Acknowledgement, Dispatcher};
 use crate::frame_clock::FrameClock;
-use crate::job::{Job, Next, sweep};
+use crate::job::{Job, NextView, sweep};
+use crate::proposals::ProposalChooser;
 
-/// A plan older than this is not followed: fusion has died since. Nanoseconds.
+/// Age from which a plan is not followed, nanoseconds: fusion has died since.
 const STALE_PLAN_NS: i64 = 1_000_000_000;
 
-/// Frames held at once: one that waits for its answers, and the one that is being cut.
-const MAX_HELD_FRAMES: usize = 2;
+/// Frames in work at once: one that waits for its answers, and the one that is being cut.
+const MAX_ACTIVE_FRAMES: usize = 2;
 
-/// A frame, and the place of a view in its plan.
+/// A frame, and the index of a view in its plan.
 type ViewKey = (FrameOrder, u32);
-
-/// What happens to rectification.
-#[derive(Debug)]
-pub enum Event<F> {
-    /// A frame has come; `F` holds its pixels.
-    Frame(FrameHeader, F),
-    /// A plan has come.
-    Plan(PlanHeader, Vec<PlannedView>),
-    /// A worker has searched a view.
-    Answer(DetectionHeader),
-    /// A view that was ordered has been published.
-    Published {
-        /// The order.
-        order: CutOrder,
-        /// How long cutting took, nanoseconds.
-        took_ns: i64,
-    },
-    /// The places of a frame's proposals were found.
-    Looked {
-        /// How long that took, nanoseconds.
-        took_ns: i64,
-    },
-    /// A view that was ordered could not be cut.
-    CutFailed(CutOrder),
-    /// The frame that was taken up cannot be cut at all.
-    Refused(FrameOrder),
-}
-
-/// A view to be cut.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct CutOrder {
-    /// The frame.
-    pub frame: FrameOrder,
-    /// The view's place in the plan.
-    pub view_index: u32,
-    /// The worker that it goes to.
-    pub worker: usize,
-    /// How often it was cut before.
-    pub attempt: u32,
-}
-
-/// What is to be done.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Action {
-    /// A frame was taken up: its likely views ([`Held::likely`]) may be worked on ahead.
-    TakeUp(FrameOrder),
-    /// Cut this view and publish it.
-    Cut(CutOrder),
-    /// Publish the end of a frame.
-    End(FrameEnd),
-    /// Nothing, until an event comes, or by then, nanoseconds.
-    Wait(Option<i64>),
-}
-
-/// A frame that is being cut, or that waits for the answers to its views.
-#[derive(Debug)]
-pub struct Held<F> {
-    /// The hold on its pixels.
-    pub pixels: F,
-    /// Its views.
-    pub job: Job,
-    /// Views that the back end was told of.
-    pub ordered: BTreeSet<u32>,
-    /// Views that will probably be cut.
-    pub likely: Vec<u32>,
-}
 
 /// How a core works.
 #[derive(Debug, Clone)]
-pub struct Options {
+pub(crate) struct Options {
     /// How frames flow.
-    pub flow: Flow,
+    pub(crate) flow: Flow,
     /// How often this stage was replaced.
-    pub generation: u32,
+    pub(crate) generation: u32,
     /// How many detection workers there are.
-    pub workers: usize,
+    pub(crate) workers: usize,
     /// Views in flight for each of them.
-    pub window: usize,
+    pub(crate) window: usize,
     /// After how long a worker's views are given to others.
-    pub overdue: Duration,
+    pub(crate) overdue: Duration,
+    /// The camera.
+    pub(crate) camera: Camera,
 }
 
 /// What rectification keeps between events.
@@ -115,15 +57,18 @@ pub struct Core<F> {
     options: Options,
     clock: FrameClock,
     dispatcher: Dispatcher<ViewKey>,
-    /// Partitions of which the camera sees something, with their numbers.
-    partitions: Vec<(u32, View)>,
-    /// Partitions of its own sweep that were cut.
+    proposals: ProposalChooser,
+    /// Tiles of which the camera sees something, with their numbers.
+    tiles: Vec<(u32, View)>,
+    /// Tiles of the own sweep that were cut.
     swept: usize,
     /// Tiles that were cut of the frame that ended last.
     searched: usize,
     plan: Option<(PlanHeader, Vec<PlannedView>)>,
     waiting: Option<(FrameHeader, F)>,
-    held: Vec<Held<F>>,
+    active: Vec<ActiveFrame<F>>,
+    /// The view, and its worker, that is cut once its place was found.
+    next_cut: Option<(ViewKey, usize)>,
     last_frame_ns: i64,
 }
 
@@ -142,16 +87,19 @@ impl<F> Core<F> {
             workers: pipeline.detection_workers() as usize,
             window: pipeline.rectification.window as usize,
             overdue: pipeline.view_overdue(),
+            camera: resolved.camera,
         };
-        let partitions = views.filter(|(_, view)| !mask.hides_view(view)).collect();
-        Ok(Self::new(options, FrameClock::of(pipeline), partitions, now_ns))
+        let tiles = views.filter(|(_, view)| !mask.hides_view(view)).collect();
+        let proposals = ProposalChooser::of(resolved)?;
+        Ok(Self::new(options, FrameClock::of(pipeline), tiles, proposals, now_ns))
     }
 
-    /// A core that has heard of no frame yet. Without plans it sweeps `partitions`.
-    pub fn new(
+    /// A core before its first frame. Without plans it sweeps `tiles`.
+    pub(crate) fn new(
         options: Options,
         clock: FrameClock,
-        partitions: Vec<(u32, View)>,
+        tiles: Vec<(u32, View)>,
+        proposals: ProposalChooser,
         now_ns: i64,
     ) -> Self {
         let dispatcher =
@@ -160,52 +108,59 @@ impl<F> Core<F> {
             options,
             clock,
             dispatcher,
-            partitions,
+            proposals,
+            tiles,
             swept: 0,
             searched: 0,
             plan: None,
             waiting: None,
-            held: Vec::new(),
+            active: Vec::new(),
+            next_cut: None,
             last_frame_ns: now_ns,
         }
     }
 
     /// Whether a frame waits. A lossless run takes none before it is taken up.
-    pub fn has_waiting(&self) -> bool {
+    pub(crate) fn has_waiting(&self) -> bool {
         self.waiting.is_some()
     }
 
     /// The frame that waits.
-    pub fn waiting(&self) -> Option<&(FrameHeader, F)> {
+    pub(crate) fn waiting(&self) -> Option<&(FrameHeader, F)> {
         self.waiting.as_ref()
     }
 
     /// Views in flight.
-    pub fn outstanding(&self) -> usize {
+    pub(crate) fn outstanding(&self) -> usize {
         self.dispatcher.outstanding()
     }
 
-    /// The workers that have answered nothing for too long, as [`Dispatcher::silent`] tells them.
-    pub fn silent_workers(&mut self) -> Vec<(usize, u64)> {
+    /// The workers that have answered nothing for too long, as [`Dispatcher::silent`] gives them.
+    pub(crate) fn silent_workers(&mut self) -> Vec<(usize, u64)> {
         self.dispatcher.silent()
     }
 
-    /// A frame that is held.
-    pub fn held_mut(&mut self, frame: FrameOrder) -> Option<&mut Held<F>> {
-        self.held.iter_mut().find(|held| held.job.frame.stamp.order() == frame)
+    /// The header and the owner of a frame in work.
+    pub fn frame(&self, frame: FrameOrder) -> Option<(&FrameHeader, &F)> {
+        let active = self.active.iter().find(|active| active.order() == frame)?;
+        Some((&active.job.frame, &active.pixels))
+    }
+
+    fn active_mut(&mut self, frame: FrameOrder) -> Option<&mut ActiveFrame<F>> {
+        self.active.iter_mut().find(|active| active.order() == frame)
     }
 
     /// For how long no frame has come, nanoseconds.
-    pub fn silence_ns(&self, now_ns: i64) -> i64 {
-        if self.waiting.is_some() || !self.held.is_empty() {
+    pub(crate) fn silence_ns(&self, now_ns: i64) -> i64 {
+        if self.waiting.is_some() || !self.active.is_empty() {
             0
         } else {
             now_ns - self.last_frame_ns
         }
     }
 
-    /// Notes an event that came at `now_ns`, and says whether a frame was dropped: in flight a newer one
-    /// takes the place of one that waits.
+    /// Takes an event that came at `now_ns`. Returns whether a frame was dropped: in flight a newer
+    /// one replaces the one that waits.
     pub fn on(&mut self, event: Event<F>, now_ns: i64) -> bool {
         match event {
             Event::Frame(header, pixels) => {
@@ -215,16 +170,12 @@ impl<F> Core<F> {
             }
             Event::Plan(header, views) => self.plan = Some((header, views)),
             Event::Answer(header) => self.on_answer(&header, now_ns),
-            Event::Published { order, took_ns } => self.on_published(order, took_ns, now_ns),
-            Event::Looked { took_ns } => self.clock.note_look(took_ns),
-            Event::CutFailed(order) => {
-                if let Some(held) = self.held_mut(order.frame) {
-                    held.job.fail();
-                }
-            }
-            Event::Refused(frame) => {
-                if let Some(held) = self.held_mut(frame) {
-                    held.job.fail();
+            Event::Looked { frame, found, took_ns } => self.on_looked(frame, found, took_ns),
+            Event::Published { header, took_ns } => self.on_published(&header, took_ns, now_ns),
+            Event::Failed(frame) => {
+                self.next_cut = None;
+                if let Some(active) = self.active_mut(frame) {
+                    active.job.fail();
                 }
             }
         }
@@ -235,69 +186,88 @@ impl<F> Core<F> {
         let key = (header.stamp.order(), header.view_index);
         let (worker, attempt) = (header.worker as usize, header.attempt);
         let answer = self.dispatcher.acknowledged(key, worker, attempt, time(now_ns));
-        if answer == Answer::First
-            && let Some(held) = self.held_mut(key.0)
+        if answer == Acknowledgement::First
+            && let Some(ActiveFrame { job, .. }) = self.active_mut(key.0)
         {
-            held.job.note_answer(header.view_index, header.hits > 0);
-            if held.job.is_tile(header.view_index) {
+            job.note_answer(header.view_index, header.hits > 0);
+            if job.is_tile(header.view_index) {
                 self.clock.note_search(header.sent_ns.saturating_sub(header.received_ns));
             }
         }
     }
 
-    fn on_published(&mut self, order: CutOrder, took_ns: i64, now_ns: i64) {
-        let CutOrder { frame, view_index, worker, .. } = order;
-        self.dispatcher.issued((frame, view_index), worker, time(now_ns));
-        let held = self.held.iter_mut().find(|held| held.job.frame.stamp.order() == frame);
-        let Some(held) = held else { return };
-        if let Some((_, planned)) = held.job.view(view_index) {
+    /// Gives the frame's proposals the places that were found.
+    fn on_looked(&mut self, frame: FrameOrder, found: Vec<Proposal>, took_ns: i64) {
+        let active = self.active.iter_mut().find(|active| active.order() == frame);
+        let Some(active) = active else { return };
+        let views = active.job.proposal_indices().len();
+        active.job.place_proposals(self.proposals.choose(found, views));
+        self.clock.note_look(took_ns);
+    }
+
+    fn on_published(&mut self, header: &ViewHeader, took_ns: i64, now_ns: i64) {
+        let (frame, index) = (header.stamp.order(), header.view_index);
+        self.dispatcher.issued((frame, index), header.worker as usize, time(now_ns));
+        let active = self.active.iter_mut().find(|active| active.order() == frame);
+        let Some(ActiveFrame { job, .. }) = active else { return };
+        if let Some((_, planned)) = job.view(index) {
             self.clock.note_cut(&planned, took_ns);
         }
-        held.job.note_issued(view_index);
+        if let Some(proposal) = job.proposal(index) {
+            self.proposals.note_cut(proposal);
+        }
+        job.note_issued(index);
     }
 
     /// What to do next.
     pub fn step(&mut self, now_ns: i64) -> Action {
+        if let Some((key, worker)) = self.next_cut.take()
+            && let Some(order) = self.cut_placed(key, worker)
+        {
+            return Action::Cut(order);
+        }
         for (frame, index) in self.dispatcher.overdue(time(now_ns), self.options.overdue) {
-            match self.held_mut(frame) {
-                Some(held) => held.job.take_back(index),
+            match self.active_mut(frame) {
+                Some(active) => active.job.take_back(index),
                 // The frame has made room for a newer one: nobody needs its view any more.
                 None => self.dispatcher.retain(|(other, _)| other != frame),
             }
         }
-        self.held.retain(|held| !held.job.is_done());
-        if let Some(frame) = self.take_up(now_ns) {
-            return Action::TakeUp(frame);
+        self.active.retain(|active| !active.job.is_done());
+        if let Some(action) = self.take_up(now_ns) {
+            return action;
         }
         if let Some(action) = self.cut_next(now_ns) {
             return action;
         }
         // A worker that answers nothing must be noticed.
         let overdue_ns = self.options.overdue.as_nanos() as i64;
-        let is_awaited = !self.held.is_empty() || self.outstanding() > 0;
+        let is_awaited = !self.active.is_empty() || self.outstanding() > 0;
         Action::Wait(is_awaited.then_some(now_ns + overdue_ns / 4))
     }
 
     /// Takes up the frame that waits, once the one before has been cut.
-    fn take_up(&mut self, now_ns: i64) -> Option<FrameOrder> {
-        let is_cutting = self.held.iter().any(|held| !held.job.has_ended());
+    fn take_up(&mut self, now_ns: i64) -> Option<Action> {
+        let is_cutting = self.active.iter().any(|active| !active.job.has_ended());
         if is_cutting || self.waiting.is_none() {
             return None;
         }
-        if self.held.len() >= MAX_HELD_FRAMES {
+        if self.active.len() >= MAX_ACTIVE_FRAMES {
             if self.options.flow == Flow::Lossless {
                 return None;
             }
-            // In flight a newer frame is worth more than a view of an old one that its worker may have lost.
-            // Answers that still come are heard all the same.
-            self.held.remove(0);
+            // In flight a newer frame is worth more than a view of an old one that its worker may
+            // have lost. Its late answers are counted all the same.
+            self.active.remove(0);
         }
         let (header, pixels) = self.waiting.take()?;
         self.clock.begin_frame(&header.stamp);
         let job = self.job_for(header, now_ns);
         let likely = job.likely(self.searched);
-        self.held.push(Held { pixels, job, ordered: BTreeSet::new(), likely });
-        Some(header.stamp.order())
+        let mut active = ActiveFrame::new(job, pixels);
+        let likely = active.announce(likely, &self.options.camera);
+        self.active.push(active);
+        Some(Action::TakeUp { frame: header.stamp.order(), likely })
     }
 
     fn job_for(&self, header: FrameHeader, now_ns: i64) -> Job {
@@ -305,7 +275,7 @@ impl<F> Core<F> {
             self.options.flow == Flow::Lossless || now_ns - plan.made_ns < STALE_PLAN_NS
         };
         if let Some((plan, views)) = self.plan.as_ref().filter(|(plan, _)| is_live(plan)) {
-            // It was checked when it was received, so its rule is known.
+            // The plan was checked when it was received, so its rule is known.
             let rule = StopRule::try_from(plan.stop_rule).unwrap_or(StopRule::Deadline);
             let budget = match self.clock.is_unlimited() {
                 true => plan.view_budget as usize,
@@ -313,68 +283,95 @@ impl<F> Core<F> {
             };
             return Job::new(header, plan.plan_id, views.clone(), rule, budget, now_ns);
         }
-        let views = sweep(&self.partitions, self.swept);
+        let views = sweep(&self.tiles, self.swept);
         Job::new(header, 0, views, StopRule::Deadline, usize::MAX, now_ns)
     }
 
-    /// The next view to be cut, or a frame's end. `None` if there is nothing to do before something comes.
+    /// The next view to be cut, or a frame's end. `None` if there is nothing to do before an event.
     fn cut_next(&mut self, now_ns: i64) -> Option<Action> {
-        for position in 0..self.held.len() {
-            let job = &self.held[position].job;
+        for position in 0..self.active.len() {
+            let job = &self.active[position].job;
             let is_newer_waiting = self.waiting.is_some();
             let why_over =
                 self.clock.why_over(job.upcoming(), job.searched(), is_newer_waiting, now_ns);
             match job.next(why_over) {
-                Next::Wait => {}
-                Next::End(reason) => {
+                NextView::Wait => {}
+                NextView::End(reason) => {
                     if let Some(end) = self.end(position, reason, now_ns) {
                         return Some(Action::End(end));
                     }
                     return self.cut_next(now_ns);
                 }
-                Next::Cut { index, is_yielding } => {
+                NextView::Cut { index, is_yielding } => {
                     let Some(worker) = self.dispatcher.next_worker(time(now_ns)) else { continue };
                     let (outstanding, workers) = (self.outstanding(), self.options.workers);
                     if is_yielding && !self.clock.has_room_for_tile(outstanding, workers, now_ns) {
                         continue;
                     }
-                    let frame = job.frame.stamp.order();
-                    let attempt = self.dispatcher.next_attempt((frame, index));
-                    return Some(Action::Cut(CutOrder {
-                        frame,
-                        view_index: index,
-                        worker,
-                        attempt,
-                    }));
+                    return self.cut(position, index, worker);
                 }
             }
         }
         None
     }
 
+    /// Cuts a view for a worker. Searches the frame for the places of its proposals before the
+    /// first of them is cut: tracked neighbours' views are cut before, and no pose waits for it.
+    fn cut(&mut self, position: usize, index: u32, worker: usize) -> Option<Action> {
+        let active = &self.active[position];
+        let (frame, job) = (active.order(), &active.job);
+        if job.awaits_places() && job.proposal(index).is_some() {
+            match self.proposals.search(job.proposal_indices().len()) {
+                Some(search) => {
+                    self.next_cut = Some(((frame, index), worker));
+                    return Some(Action::Look { frame, search });
+                }
+                None => self.on_looked(frame, Vec::new(), 0),
+            }
+        }
+        self.cut_order((frame, index), worker).map(Action::Cut)
+    }
+
+    /// The order to cut the first of a frame's proposals, whose places were found.
+    fn cut_placed(&mut self, key: ViewKey, worker: usize) -> Option<CutOrder> {
+        let camera = self.options.camera;
+        let active = self.active_mut(key.0)?;
+        let ahead = active.announce(active.job.proposal_indices(), &camera);
+        let order = self.cut_order(key, worker)?;
+        Some(CutOrder { ahead, ..order })
+    }
+
+    fn cut_order(&mut self, key: ViewKey, worker: usize) -> Option<CutOrder> {
+        let attempt = self.dispatcher.next_attempt(key);
+        let Options { generation, camera, .. } = self.options;
+        let recipient = Recipient { worker, attempt, generation };
+        self.active_mut(key.0)?.cut_order(key.1, recipient, &camera)
+    }
+
     /// Ends a frame. `None` if its end is out already, and a view of it could not be cut again.
     fn end(&mut self, position: usize, reason: StopReason, now_ns: i64) -> Option<FrameEnd> {
-        let job = &mut self.held[position].job;
+        let job = &mut self.active[position].job;
         if job.has_ended() {
             // Nobody needs to wait for the answer.
             let given_up = job.frame.stamp.order();
             self.dispatcher.retain(|(frame, _)| frame != given_up);
-            self.held.remove(position);
+            self.active.remove(position);
             return None;
         }
         self.searched = job.searched();
         self.clock.end_frame(self.searched);
         if job.plan_id == 0 {
-            self.swept = (self.swept + job.tally().0 as usize) % self.partitions.len().max(1);
+            self.swept = (self.swept + job.tally().0 as usize) % self.tiles.len().max(1);
         }
         Some(ended(job, reason, self.options.generation, now_ns))
     }
 
     /// The ends of all frames that have none, because the stage stops.
-    pub fn shut_down(&mut self, now_ns: i64) -> Vec<FrameEnd> {
-        let open = self.held.iter_mut().filter(|held| !held.job.has_ended());
+    pub(crate) fn shut_down(&mut self, now_ns: i64) -> Vec<FrameEnd> {
+        let open = self.active.iter_mut().filter(|active| !active.job.has_ended());
         let generation = self.options.generation;
-        open.map(|held| ended(&mut held.job, StopReason::Shutdown, generation, now_ns)).collect()
+        open.map(|active| ended(&mut active.job, StopReason::Shutdown, generation, now_ns))
+            .collect()
     }
 }
 

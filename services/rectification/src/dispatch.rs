@@ -7,21 +7,21 @@
 use std::collections::BTreeMap;
 use std::time::Duration;
 
-/// Views in flight, by keys `K` that tell them apart: their index in the frame, or frame and index.
+/// Views in flight, by a key `K` of each: its index in the frame, or frame and index.
 ///
 /// Times are of any clock that never goes back.
 #[derive(Debug, Clone)]
-pub struct Dispatcher<K> {
+pub(crate) struct Dispatcher<K> {
     window: usize,
     probe_after: Duration,
     workers: Vec<Worker>,
-    views: BTreeMap<K, Issued>,
+    views: BTreeMap<K, IssuedView>,
 }
 
-/// What an acknowledgement means.
+/// What a worker's answer means.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Answer {
-    /// The view's first: it is done, whatever becomes of its other attempts.
+pub(crate) enum Acknowledgement {
+    /// The view's first answer: it is done, whatever becomes of its other attempts.
     First,
     /// The view was done already, or is not known: counts for nothing.
     Repeated,
@@ -34,12 +34,12 @@ struct Worker {
     answered: Option<Duration>,
     /// How often its views were taken back since then.
     silences: u64,
-    /// Whether [`Dispatcher::silent`] has yet to tell of the last time.
-    is_untold: bool,
+    /// Whether [`Dispatcher::silent`] has not returned the last time yet.
+    is_unreported: bool,
 }
 
 #[derive(Debug, Clone, Default)]
-struct Issued {
+struct IssuedView {
     /// Attempts not yet answered nor taken back.
     in_flight: Vec<Attempt>,
     /// The number of the next attempt.
@@ -54,12 +54,13 @@ struct Attempt {
     issued: Duration,
 }
 
-/// How long a stalled worker is left alone before it is tried again, unless said otherwise.
+/// How long a stalled worker is left alone before it is tried again, unless configured otherwise.
 const PROBE_AFTER: Duration = Duration::from_secs(1);
 
 impl<K: Ord + Copy> Dispatcher<K> {
-    /// For workers 0 to `workers` - 1, each with at most `window_per_worker` views in flight.
-    pub fn new(workers: usize, window_per_worker: usize) -> Self {
+    /// Dispatches to workers 0 to `workers` - 1, each with at most `window_per_worker` views in
+    /// flight.
+    pub(crate) fn new(workers: usize, window_per_worker: usize) -> Self {
         Self {
             window: window_per_worker,
             probe_after: PROBE_AFTER,
@@ -69,7 +70,7 @@ impl<K: Ord + Copy> Dispatcher<K> {
     }
 
     /// Leaves a stalled worker alone for `probe_after` before it is tried again.
-    pub fn with_probe_after(mut self, probe_after: Duration) -> Self {
+    pub(crate) fn with_probe_after(mut self, probe_after: Duration) -> Self {
         self.probe_after = probe_after;
         self
     }
@@ -77,7 +78,7 @@ impl<K: Ord + Copy> Dispatcher<K> {
     /// The worker for the next view: of those that live and have room, the one with the fewest
     /// views in flight, and of equals the first. A worker stalled for long counts as one with room
     /// for a single view.
-    pub fn next_worker(&self, now: Duration) -> Option<usize> {
+    pub(crate) fn next_worker(&self, now: Duration) -> Option<usize> {
         (0..self.workers.len())
             .map(|worker| (self.outstanding_of(worker), worker))
             .filter(|&(count, worker)| count < self.room(worker, now))
@@ -94,12 +95,12 @@ impl<K: Ord + Copy> Dispatcher<K> {
     }
 
     /// The number that the next attempt of `view` will have, from 0.
-    pub fn next_attempt(&self, view: K) -> u32 {
+    pub(crate) fn next_attempt(&self, view: K) -> u32 {
         self.views.get(&view).map_or(0, |issued| issued.attempts)
     }
 
-    /// Notes that `view` went to `worker`, and tells the number of this attempt, from 0.
-    pub fn issued(&mut self, view: K, worker: usize, now: Duration) -> u32 {
+    /// Notes that `view` went to `worker`, and returns the number of this attempt, from 0.
+    pub(crate) fn issued(&mut self, view: K, worker: usize, now: Duration) -> u32 {
         let issued = self.views.entry(view).or_default();
         let number = issued.attempts;
         issued.attempts += 1;
@@ -109,16 +110,23 @@ impl<K: Ord + Copy> Dispatcher<K> {
 
     /// Notes an answer; the worker lives. A view counts as done with its first answer, be that of
     /// an attempt that was taken back: one not yet cut again need not be.
-    pub fn acknowledged(&mut self, view: K, worker: usize, attempt: u32, now: Duration) -> Answer {
+    pub(crate) fn acknowledged(
+        &mut self,
+        view: K,
+        worker: usize,
+        attempt: u32,
+        now: Duration,
+    ) -> Acknowledgement {
         if let Some(worker) = self.workers.get_mut(worker) {
             *worker = Worker { answered: Some(now), ..Worker::default() };
         }
-        let Some(issued) = self.views.get_mut(&view) else { return Answer::Repeated };
+        let Some(issued) = self.views.get_mut(&view) else { return Acknowledgement::Repeated };
         if attempt >= issued.attempts {
-            return Answer::Repeated;
+            return Acknowledgement::Repeated;
         }
         issued.in_flight.retain(|other| (other.number, other.worker) != (attempt, worker));
-        let answer = if issued.is_done { Answer::Repeated } else { Answer::First };
+        let answer =
+            if issued.is_done { Acknowledgement::Repeated } else { Acknowledgement::First };
         issued.is_done = true;
         if issued.in_flight.is_empty() {
             self.views.remove(&view);
@@ -127,12 +135,12 @@ impl<K: Ord + Copy> Dispatcher<K> {
     }
 
     /// Takes back the views of each worker that has answered nothing for `timeout`, neither since
-    /// its oldest view was issued nor since its last answer, and marks it stalled. All its views:
-    /// those behind the oldest would be later still.
+    /// its oldest view was issued nor since its last answer, and marks it stalled. All its views
+    /// are taken: those behind the oldest would be later still.
     ///
     /// Returns the views that must be cut for another worker, in rising order; those that another
     /// attempt has done, or may yet do, are not among them.
-    pub fn overdue(&mut self, now: Duration, timeout: Duration) -> Vec<K> {
+    pub(crate) fn overdue(&mut self, now: Duration, timeout: Duration) -> Vec<K> {
         let mut oldest: Vec<Option<Duration>> = vec![None; self.workers.len()];
         for attempt in self.views.values().flat_map(|issued| &issued.in_flight) {
             if let Some(oldest) = oldest.get_mut(attempt.worker) {
@@ -152,7 +160,7 @@ impl<K: Ord + Copy> Dispatcher<K> {
         for (worker, _) in self.workers.iter_mut().zip(&is_late).filter(|(_, late)| **late) {
             worker.stalled_since = Some(now);
             worker.silences += 1;
-            worker.is_untold = true;
+            worker.is_unreported = true;
         }
 
         let mut lost = Vec::new();
@@ -168,43 +176,32 @@ impl<K: Ord + Copy> Dispatcher<K> {
         lost
     }
 
-    /// The workers whose views were taken back since the last call, each with how often that has happened
-    /// since it last answered.
-    pub fn silent(&mut self) -> Vec<(usize, u64)> {
-        let untold = self.workers.iter_mut().enumerate().filter(|(_, worker)| worker.is_untold);
-        untold
+    /// The workers whose views were taken back since the last call, each with how often that has
+    /// happened since it last answered.
+    pub(crate) fn silent(&mut self) -> Vec<(usize, u64)> {
+        let unreported =
+            self.workers.iter_mut().enumerate().filter(|(_, worker)| worker.is_unreported);
+        unreported
             .map(|(index, worker)| {
-                worker.is_untold = false;
+                worker.is_unreported = false;
                 (index, worker.silences)
             })
             .collect()
     }
 
-    /// Forgets every view that `is_wanted` denies, without an answer: those of an abandoned frame
-    /// whose workers need not be waited for.
-    pub fn retain(&mut self, mut is_wanted: impl FnMut(K) -> bool) {
+    /// Forgets every view that `is_wanted` denies: nobody waits for the answers of an abandoned
+    /// frame.
+    pub(crate) fn retain(&mut self, mut is_wanted: impl FnMut(K) -> bool) {
         self.views.retain(|&view, _| is_wanted(view));
     }
 
-    /// Lets a stalled worker have views again at once: another process took its place.
-    pub fn revive(&mut self, worker: usize) {
-        if let Some(worker) = self.workers.get_mut(worker) {
-            *worker = Worker::default();
-        }
-    }
-
-    /// Whether `worker` has answered nothing for too long.
-    pub fn is_stalled(&self, worker: usize) -> bool {
-        self.workers.get(worker).is_some_and(|worker| worker.stalled_since.is_some())
-    }
-
     /// Views in flight: issued, and neither answered nor taken back.
-    pub fn outstanding(&self) -> usize {
+    pub(crate) fn outstanding(&self) -> usize {
         self.views.values().filter(|view| !view.is_done && !view.in_flight.is_empty()).count()
     }
 
     /// How many views `worker` has been given and neither answered nor lost.
-    pub fn outstanding_of(&self, worker: usize) -> usize {
+    pub(crate) fn outstanding_of(&self, worker: usize) -> usize {
         let attempts = self.views.values().flat_map(|issued| &issued.in_flight);
         attempts.filter(|attempt| attempt.worker == worker).count()
     }
@@ -217,6 +214,10 @@ mod tests {
     use std::collections::BTreeSet;
 
     const TIMEOUT: Duration = Duration::from_millis(100);
+
+    fn is_stalled<K>(views: &Dispatcher<K>, worker: usize) -> bool {
+        views.workers[worker].stalled_since.is_some()
+    }
 
     fn at(milliseconds: u64) -> Duration {
         Duration::from_millis(milliseconds)
@@ -233,7 +234,7 @@ mod tests {
         }
         assert_eq!(order, [0, 1, 0, 1]);
         assert_eq!((views.next_worker(at(0)), views.outstanding()), (None, 4));
-        assert_eq!(views.acknowledged(1, 1, 0, at(5)), Answer::First);
+        assert_eq!(views.acknowledged(1, 1, 0, at(5)), Acknowledgement::First);
         assert_eq!((views.next_worker(at(5)), views.outstanding()), (Some(1), 3));
     }
 
@@ -249,18 +250,18 @@ mod tests {
         for view in 0..4 {
             views.issued(view, view as usize % 2, at(0));
         }
-        assert_eq!(views.acknowledged(1, 1, 0, at(40)), Answer::First);
+        assert_eq!(views.acknowledged(1, 1, 0, at(40)), Acknowledgement::First);
         assert_eq!(views.overdue(at(99), TIMEOUT), Vec::<u32>::new());
         // Worker 0 is dead; worker 1 answered 60 ms ago and is only busy.
         assert_eq!(views.overdue(at(100), TIMEOUT), [0, 2]);
-        assert!(views.is_stalled(0) && !views.is_stalled(1));
+        assert!(is_stalled(&views, 0) && !is_stalled(&views, 1));
         assert_eq!(views.outstanding(), 1);
         for view in [0, 2] {
             assert_eq!(views.next_worker(at(100)), Some(1));
             assert_eq!(views.issued(view, 1, at(100)), 1);
         }
         for (view, attempt) in [(3, 0), (0, 1), (2, 1)] {
-            assert_eq!(views.acknowledged(view, 1, attempt, at(120)), Answer::First);
+            assert_eq!(views.acknowledged(view, 1, attempt, at(120)), Acknowledgement::First);
         }
         assert_eq!(views.outstanding(), 0);
     }
@@ -272,12 +273,12 @@ mod tests {
         assert_eq!(views.overdue(at(100), TIMEOUT), [7]);
         assert_eq!(views.issued(7, 1, at(100)), 1);
         // The stalled worker answers after all, then the other one does.
-        assert_eq!(views.acknowledged(7, 0, 0, at(110)), Answer::First);
-        assert!(!views.is_stalled(0));
+        assert_eq!(views.acknowledged(7, 0, 0, at(110)), Acknowledgement::First);
+        assert!(!is_stalled(&views, 0));
         assert_eq!((views.outstanding(), views.outstanding_of(1)), (0, 1));
-        assert_eq!(views.acknowledged(7, 1, 1, at(120)), Answer::Repeated);
+        assert_eq!(views.acknowledged(7, 1, 1, at(120)), Acknowledgement::Repeated);
         assert_eq!(views.outstanding_of(1), 0);
-        assert_eq!(views.acknowledged(7, 1, 1, at(121)), Answer::Repeated);
+        assert_eq!(views.acknowledged(7, 1, 1, at(121)), Acknowledgement::Repeated);
     }
 
     #[test]
@@ -285,7 +286,7 @@ mod tests {
         let mut views = Dispatcher::new(1, 2);
         views.issued(7, 0, at(0));
         assert_eq!(views.overdue(at(100), TIMEOUT), [7]);
-        assert_eq!(views.acknowledged(7, 0, 0, at(110)), Answer::First);
+        assert_eq!(views.acknowledged(7, 0, 0, at(110)), Acknowledgement::First);
         assert_eq!(views.overdue(at(900), TIMEOUT), Vec::<u32>::new());
     }
 
@@ -293,8 +294,8 @@ mod tests {
     fn attempts_that_were_never_made_answer_nothing() {
         let mut views = Dispatcher::new(1, 2);
         views.issued(7, 0, at(0));
-        assert_eq!(views.acknowledged(7, 0, 1, at(1)), Answer::Repeated);
-        assert_eq!(views.acknowledged(8, 5, 0, at(1)), Answer::Repeated);
+        assert_eq!(views.acknowledged(7, 0, 1, at(1)), Acknowledgement::Repeated);
+        assert_eq!(views.acknowledged(8, 5, 0, at(1)), Acknowledgement::Repeated);
         assert_eq!(views.outstanding(), 1);
     }
 
@@ -311,8 +312,6 @@ mod tests {
         assert_eq!(views.overdue(at(700), TIMEOUT), [0]);
         assert_eq!(views.silent(), [(0, 2)]);
         assert_eq!(views.next_worker(at(1199)), None);
-        views.revive(0);
-        assert_eq!(views.next_worker(at(1199)), Some(0));
     }
 
     #[test]
@@ -322,8 +321,8 @@ mod tests {
         views.issued((5, 0), 0, at(0));
         views.retain(|(frame, _)| frame == 5);
         assert_eq!(views.outstanding(), 1);
-        assert_eq!(views.acknowledged((4, 0), 0, 0, at(1)), Answer::Repeated);
-        assert_eq!(views.acknowledged((5, 0), 0, 0, at(1)), Answer::First);
+        assert_eq!(views.acknowledged((4, 0), 0, 0, at(1)), Acknowledgement::Repeated);
+        assert_eq!(views.acknowledged((5, 0), 0, 0, at(1)), Acknowledgement::First);
     }
 
     proptest! {
@@ -357,7 +356,7 @@ mod tests {
                 let mut kept = Vec::new();
                 for (view, worker, attempt) in std::mem::take(&mut held) {
                     let chance = luck.next().unwrap_or(if worker == 0 { 9 } else { 0 });
-                    if chance >= 5 && dispatcher.acknowledged(view, worker, attempt, now) == Answer::First {
+                    if chance >= 5 && dispatcher.acknowledged(view, worker, attempt, now) == Acknowledgement::First {
                         done.push(view);
                         pending.remove(&view);
                     }

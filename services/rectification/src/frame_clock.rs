@@ -11,7 +11,7 @@ use crate::virtual_budget::VirtualBudget;
 
 /// What decides how many tiles of a frame are cut.
 #[derive(Debug, Clone)]
-pub enum Clock {
+pub(crate) enum Clock {
     /// The time, in flight.
     Live(Cadence),
     /// Stated costs, in a lossless run that does what flight does.
@@ -22,15 +22,15 @@ pub enum Clock {
 
 /// Decides whether there is time for one more tile.
 #[derive(Debug, Clone)]
-pub struct FrameClock {
+pub(crate) struct FrameClock {
     /// What it goes by.
-    pub clock: Clock,
+    pub(crate) clock: Clock,
     frames_without_tile: u64,
 }
 
 impl FrameClock {
     /// The clock that a configuration asks for.
-    pub fn of(pipeline: &Pipeline) -> Self {
+    pub(crate) fn of(pipeline: &Pipeline) -> Self {
         Self::new(match pipeline.limit() {
             FrameLimit::Time => Clock::Live(Cadence::default()),
             FrameLimit::Costs => {
@@ -42,31 +42,31 @@ impl FrameClock {
     }
 
     /// Goes by `clock`.
-    pub fn new(clock: Clock) -> Self {
+    pub(crate) fn new(clock: Clock) -> Self {
         Self { clock, frames_without_tile: 0 }
     }
 
-    /// Whether a plan's own budget of views holds.
-    pub fn is_unlimited(&self) -> bool {
+    /// Whether a plan's own budget of views counts.
+    pub(crate) fn is_unlimited(&self) -> bool {
         matches!(self.clock, Clock::Unlimited)
     }
 
     /// A frame came at `now_ns`.
-    pub fn note_arrival(&mut self, stamp: &FrameStamp, now_ns: i64) {
+    pub(crate) fn note_arrival(&mut self, stamp: &FrameStamp, now_ns: i64) {
         if let Clock::Live(cadence) = &mut self.clock {
             cadence.note(stamp, now_ns);
         }
     }
 
     /// A frame is taken up.
-    pub fn begin_frame(&mut self, stamp: &FrameStamp) {
+    pub(crate) fn begin_frame(&mut self, stamp: &FrameStamp) {
         if let Clock::Virtual(budget) = &mut self.clock {
             budget.begin_frame(stamp);
         }
     }
 
     /// The picture was looked at for places like a body, which took `took_ns`.
-    pub fn note_look(&mut self, took_ns: i64) {
+    pub(crate) fn note_look(&mut self, took_ns: i64) {
         match &mut self.clock {
             Clock::Live(cadence) => cadence.note_look(took_ns),
             Clock::Virtual(budget) => budget.spend_look(),
@@ -75,7 +75,7 @@ impl FrameClock {
     }
 
     /// A view was cut, which took `took_ns`.
-    pub fn note_cut(&mut self, planned: &PlannedView, took_ns: i64) {
+    pub(crate) fn note_cut(&mut self, planned: &PlannedView, took_ns: i64) {
         match &mut self.clock {
             Clock::Live(cadence) if planned.is_tile() => cadence.note_cut(took_ns),
             Clock::Virtual(budget) => budget.spend(planned),
@@ -83,25 +83,26 @@ impl FrameClock {
         }
     }
 
-    /// A tile was searched for `took_ns`, as its worker says.
-    pub fn note_search(&mut self, took_ns: i64) {
+    /// A tile was searched for `took_ns`, as its worker reports.
+    pub(crate) fn note_search(&mut self, took_ns: i64) {
         if let Clock::Live(cadence) = &mut self.clock {
             cadence.note_search(took_ns);
         }
     }
 
-    /// A frame is not cut further; so many of its tiles were.
-    pub fn end_frame(&mut self, tiles: usize) {
+    /// The views of a frame have ended; `tiles` of its tiles were cut.
+    pub(crate) fn end_frame(&mut self, tiles: usize) {
         self.frames_without_tile = match tiles {
             0 => self.frames_without_tile.saturating_add(1),
             _ => 0,
         };
     }
 
-    /// Why there is no time for the view `next`: a newer frame waits or is due, or the frame's budget is
-    /// spent. `None` where there is. A frame that has come to no tile yet, as those before it, has time for
-    /// one, and for nothing else: the plan has a tile before its proposals then.
-    pub fn why_over(
+    /// Why there is no time for the view `next`: a newer frame waits or is due, or the frame's
+    /// budget is spent. `None` where there is. A frame that has come to no tile yet, as those
+    /// before it, has time for one, and for nothing else: the plan has a tile before its proposals
+    /// then.
+    pub(crate) fn why_over(
         &self,
         next: Option<Upcoming<'_>>,
         tiles: usize,
@@ -125,12 +126,18 @@ impl FrameClock {
         }
     }
 
-    /// Whether another tile may be on its way to `workers`, which have not answered `outstanding` views.
+    /// Whether another tile may be on its way to `workers`, which have not answered `outstanding`
+    /// views.
     ///
-    /// In flight one worker stays free of tiles, because they would hold up the next frame's regions of
-    /// interest. A single worker gets one tile at a time. One more is cut ahead while it and the one
-    /// before will have been searched before the next frame is due.
-    pub fn has_room_for_tile(&self, outstanding: usize, workers: usize, now_ns: i64) -> bool {
+    /// In flight one worker stays free of tiles, because they would delay the next frame's regions
+    /// of interest. A single worker gets one tile at a time. One more is cut ahead while it and the
+    /// one before will have been searched before the next frame is due.
+    pub(crate) fn has_room_for_tile(
+        &self,
+        outstanding: usize,
+        workers: usize,
+        now_ns: i64,
+    ) -> bool {
         let Clock::Live(cadence) = &self.clock else { return true };
         let is_ahead = cadence.has_time_to_cut_ahead(now_ns);
         outstanding < workers.saturating_sub(1).max(1) + usize::from(is_ahead)

@@ -50,7 +50,7 @@ impl GpuRectifier {
             now: 0,
         }
     }
-    /// Refuses a camera whose frames the device cannot hold.
+    /// Refuses a camera whose frames the device has no room for.
     ///
     /// # Errors
     /// [`RectifyError::TooLarge`].

@@ -8,7 +8,7 @@ use flockeye_runtime::ports::{Message, PortError, Ports, Subscriber};
 use crate::core::{Core, Event};
 
 /// The ports that rectification reads.
-pub struct Inbox {
+pub(crate) struct Inbox {
     frames: Subscriber<Frames>,
     plans: Subscriber<Plans>,
     detections: Subscriber<Detections>,
@@ -20,7 +20,7 @@ impl Inbox {
     ///
     /// # Errors
     /// A port that cannot be opened.
-    pub fn open(ports: &mut Ports, flow: Flow) -> Result<Self, PortError> {
+    pub(crate) fn open(ports: &mut Ports, flow: Flow) -> Result<Self, PortError> {
         Ok(Self {
             frames: ports.subscriber()?,
             plans: ports.subscriber()?,
@@ -29,12 +29,12 @@ impl Inbox {
         })
     }
 
-    /// Gives the core all that has come, and says how many frames were dropped. A lossless source sends a
-    /// frame after it has the plan for it, so frames come first.
+    /// Gives the core all that has come, and returns how many frames were dropped. A lossless
+    /// source sends a frame after it has the plan for it, so frames come first.
     ///
     /// # Errors
     /// A port that fails.
-    pub fn receive(&mut self, core: &mut Core<Message<Frames>>) -> Result<u64, PortError> {
+    pub(crate) fn receive(&mut self, core: &mut Core<Message<Frames>>) -> Result<u64, PortError> {
         let mut dropped = 0;
         while (self.flow == Flow::Latest || !core.has_waiting())
             && let Some(frame) = self.frames.receive()?

@@ -6,15 +6,15 @@ use flockeye_contract::{FrameHeader, NONE, PlannedView, Search, StopReason, Stop
 use flockeye_convert::{at_exposure, xyzw};
 use flockeye_geometry::view::View;
 
-/// What is to be done with a frame.
+/// A frame's views, and how far they are cut.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Job {
+pub(crate) struct Job {
     /// The frame.
-    pub frame: FrameHeader,
-    /// The plan that is followed; 0: a sweep of its own.
-    pub plan_id: u64,
-    /// When it was taken up, CLOCK_MONOTONIC, nanoseconds.
-    pub taken_ns: i64,
+    pub(crate) frame: FrameHeader,
+    /// The plan that is followed; 0: this stage's own sweep.
+    pub(crate) plan_id: u64,
+    /// When work on it began, CLOCK_MONOTONIC, nanoseconds.
+    pub(crate) taken_ns: i64,
     views: Vec<PlannedView>,
     stop_rule: StopRule,
     budget: usize,
@@ -31,36 +31,36 @@ pub struct Job {
 
 /// A view that comes next.
 #[derive(Debug, Clone, Copy)]
-pub struct Upcoming<'v> {
+pub(crate) struct Upcoming<'v> {
     /// As planned.
-    pub view: &'v PlannedView,
+    pub(crate) view: &'v PlannedView,
     /// Whether the picture must be looked at for places before it is cut.
-    pub needs_look: bool,
+    pub(crate) needs_look: bool,
 }
 
-/// Partitions that are cut ahead, beyond as many as the frame before came to.
-const SPARE_PARTITIONS: usize = 2;
+/// Tiles that are cut ahead, beyond as many as were cut of the frame before.
+const SPARE_TILES: usize = 2;
 
 /// What comes next for a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Next {
-    /// Cut this view: its place in the plan, and whether it is one that a newer frame may push out.
+pub(crate) enum NextView {
+    /// Cut a view.
     Cut {
-        /// Its place in the plan.
+        /// Its index in the plan.
         index: u32,
-        /// Whether it is a partition of a `deadline` plan, so that it must not hold up the next
-        /// frame's views.
+        /// Whether a newer frame may push it out: it must not delay the next frame's views.
         is_yielding: bool,
     },
-    /// No further view of it is cut: say so, with the reason.
+    /// Publish the frame's end: no further view of it is cut, for this reason.
     End(StopReason),
-    /// It has ended; answers to its views are waited for.
+    /// Wait for the answers to its views: it has ended.
     Wait,
 }
 
 impl Job {
-    /// `views` of a frame under a rule; `budget` limits how many there are in a lossless run.
-    pub fn new(
+    /// The plan's `views` of a frame, under a rule; `budget` limits how many are cut in a lossless
+    /// run.
+    pub(crate) fn new(
         frame: FrameHeader,
         plan_id: u64,
         views: Vec<PlannedView>,
@@ -85,58 +85,59 @@ impl Job {
         }
     }
 
-    /// What to do next; `why_over` says why there is no time for another view, if there is none.
-    pub fn next(&self, why_over: Option<StopReason>) -> Next {
+    /// What to do next. `why_over` is the reason why there is no time for another view, if there is
+    /// none.
+    pub(crate) fn next(&self, why_over: Option<StopReason>) -> NextView {
         if self.has_failed {
-            return Next::End(StopReason::Failed);
+            return NextView::End(StopReason::Failed);
         }
         if let Some(&index) = self.recut.first() {
-            return Next::Cut { index, is_yielding: false };
+            return NextView::Cut { index, is_yielding: false };
         }
         if self.ended.is_some() {
-            return Next::Wait;
+            return NextView::Wait;
         }
         if self.has_hit && self.stop_rule == StopRule::FirstHit {
-            return Next::End(StopReason::Hit);
+            return NextView::End(StopReason::Hit);
         }
         let Some(view) = self.views.get(self.issued) else {
-            return Next::End(StopReason::Complete);
+            return NextView::End(StopReason::Complete);
         };
         if self.stop_rule != StopRule::Deadline {
-            return Next::Cut { index: self.issued as u32, is_yielding: false };
+            return NextView::Cut { index: self.issued as u32, is_yielding: false };
         }
         if self.issued >= self.budget {
-            return Next::End(StopReason::Budget);
+            return NextView::End(StopReason::Budget);
         }
-        // A neighbour's view is never pushed out, nor kept waiting by a partition before it, and neither
-        // is a frame's first: under overload every frame would be.
+        // A neighbour's view is never pushed out, and no tile before it delays it. Neither is a
+        // frame's first view pushed out: under overload every frame would be.
         let is_yielding =
             may_yield(view) && self.issued > 0 && self.views[self.issued..].iter().all(may_yield);
         if let Some(reason) = why_over.filter(|_| is_yielding) {
-            return Next::End(reason);
+            return NextView::End(reason);
         }
-        Next::Cut { index: self.issued as u32, is_yielding }
+        NextView::Cut { index: self.issued as u32, is_yielding }
     }
 
-    /// Views that are likely to be cut, when the frame before came to `searched` partitions: all
-    /// those of neighbours, and a few partitions more than that. Proposals are among them once they have
+    /// Views that will probably be cut, where `searched` tiles of the frame before were cut: all
+    /// views of neighbours, and a few tiles more than that. Proposals are among them once they have
     /// places.
-    pub fn likely(&self, searched: usize) -> Vec<u32> {
-        let mut partitions = match self.stop_rule {
+    pub(crate) fn likely(&self, searched: usize) -> Vec<u32> {
+        let mut tiles = match self.stop_rule {
             StopRule::All => usize::MAX,
-            StopRule::FirstHit | StopRule::Deadline => searched + SPARE_PARTITIONS,
+            StopRule::FirstHit | StopRule::Deadline => searched + SPARE_TILES,
         };
         let mut is_likely = |view: &PlannedView| {
             let has_place = !view.is_proposal() || self.are_proposals_placed;
-            let fits = has_place && (!view.is_tile() || partitions > 0);
-            partitions = partitions.saturating_sub(usize::from(view.is_tile()));
+            let fits = has_place && (!view.is_tile() || tiles > 0);
+            tiles = tiles.saturating_sub(usize::from(view.is_tile()));
             fits
         };
         self.from(0).filter(|&index| is_likely(&self.views[index as usize])).collect()
     }
 
-    /// The views from a place in the plan on that its rule and its budget allow.
-    pub fn from(&self, index: u32) -> impl Iterator<Item = u32> {
+    /// Indices of the views from `index` on that the rule and the budget allow.
+    pub(crate) fn from(&self, index: u32) -> impl Iterator<Item = u32> {
         let end = match self.stop_rule {
             StopRule::Deadline => self.views.len().min(self.budget),
             StopRule::FirstHit | StopRule::All => self.views.len(),
@@ -144,38 +145,39 @@ impl Job {
         index..end as u32
     }
 
-    /// Partitions published.
-    pub fn searched(&self) -> usize {
+    /// How many tiles were published.
+    pub(crate) fn searched(&self) -> usize {
         let views = self.views.iter().take(self.issued);
         views.filter(|view| view.is_tile()).count()
     }
 
-    /// A view's place, turned to the frame's exposure.
-    pub fn view(&self, index: u32) -> Option<(View, PlannedView)> {
+    /// A view, turned to the frame's exposure, and its entry in the plan.
+    pub(crate) fn view(&self, index: u32) -> Option<(View, PlannedView)> {
         let planned = self.views.get(index as usize)?;
         Some((at_exposure(planned, self.frame.stamp.exposure_ns), *planned))
     }
 
     /// Whether the places of its proposals are still to be found.
-    pub fn awaits_places(&self) -> bool {
+    pub(crate) fn awaits_places(&self) -> bool {
         !self.are_proposals_placed
     }
 
-    /// The plan's proposals.
-    pub fn proposal_indices(&self) -> Vec<u32> {
+    /// Indices of the plan's proposals.
+    pub(crate) fn proposal_indices(&self) -> Vec<u32> {
         let views = (0..).zip(&self.views);
         views.filter(|(_, view)| view.is_proposal()).map(|(index, _)| index).collect()
     }
 
-    /// A view's place among the plan's proposals. `None` for another view.
-    pub fn proposal(&self, index: u32) -> Option<usize> {
+    /// Which of the plan's proposals a view is, from 0. `None` for another view.
+    pub(crate) fn proposal(&self, index: u32) -> Option<usize> {
         let (before, rest) = self.views.split_at_checked(index as usize)?;
         let place = before.iter().filter(|view| view.is_proposal()).count();
         rest.first()?.is_proposal().then_some(place)
     }
 
-    /// Gives the plan's proposals their places, in this order. Those beyond stay as planned: nothing.
-    pub fn place_proposals(&mut self, places: impl IntoIterator<Item = View>) {
+    /// Gives the plan's proposals their places, in this order. Proposals beyond stay as planned:
+    /// nothing.
+    pub(crate) fn place_proposals(&mut self, places: impl IntoIterator<Item = View>) {
         self.are_proposals_placed = true;
         let slots = self.views.iter_mut().filter(|view| view.is_proposal());
         for (slot, view) in slots.zip(places) {
@@ -186,61 +188,61 @@ impl Job {
     }
 
     /// Whether that view is a tile of either resolution.
-    pub fn is_tile(&self, index: u32) -> bool {
+    pub(crate) fn is_tile(&self, index: u32) -> bool {
         self.views.get(index as usize).is_some_and(PlannedView::is_tile)
     }
 
-    /// The view was published.
-    pub fn note_issued(&mut self, index: u32) {
+    /// Notes that a view was published.
+    pub(crate) fn note_issued(&mut self, index: u32) {
         if !self.recut.remove(&index) {
             self.issued = self.issued.max(index as usize + 1);
         }
         self.unanswered.insert(index);
     }
 
-    /// A worker has answered; `is_hit`: the view holds a marker of a configured body.
-    pub fn note_answer(&mut self, index: u32, is_hit: bool) {
+    /// Notes a worker's answer; `is_hit`: the view shows a marker of a configured body.
+    pub(crate) fn note_answer(&mut self, index: u32, is_hit: bool) {
         self.has_hit |= is_hit;
         self.unanswered.remove(&index);
         self.recut.remove(&index);
     }
 
-    /// The worker that had the view does not answer: it is to be cut again.
-    pub fn take_back(&mut self, index: u32) {
+    /// Lets a view be cut again, whose worker does not answer.
+    pub(crate) fn take_back(&mut self, index: u32) {
         if self.unanswered.remove(&index) {
             self.recut.insert(index);
         }
     }
 
-    /// A view could not be cut: no other is tried.
-    pub fn fail(&mut self) {
+    /// Notes that a view could not be cut: no other is tried.
+    pub(crate) fn fail(&mut self) {
         self.has_failed = true;
     }
 
     /// The view that comes next in the plan's order.
-    pub fn upcoming(&self) -> Option<Upcoming<'_>> {
+    pub(crate) fn upcoming(&self) -> Option<Upcoming<'_>> {
         let view = self.views.get(self.issued)?;
         Some(Upcoming { view, needs_look: view.is_proposal() && self.awaits_places() })
     }
 
-    /// The end of the frame was published.
-    pub fn note_end(&mut self, reason: StopReason) {
+    /// Notes that the end of the frame was published.
+    pub(crate) fn note_end(&mut self, reason: StopReason) {
         self.has_failed = false;
         self.ended = Some(reason);
     }
 
     /// Whether nothing more is to come of it.
-    pub fn is_done(&self) -> bool {
+    pub(crate) fn is_done(&self) -> bool {
         self.ended.is_some() && self.unanswered.is_empty() && self.recut.is_empty()
     }
 
     /// Whether its end was published.
-    pub fn has_ended(&self) -> bool {
+    pub(crate) fn has_ended(&self) -> bool {
         self.ended.is_some()
     }
 
     /// Views published, and views of the plan that were not.
-    pub fn tally(&self) -> (u32, u32) {
+    pub(crate) fn tally(&self) -> (u32, u32) {
         (self.issued as u32, (self.views.len() - self.issued) as u32)
     }
 }
@@ -250,11 +252,11 @@ fn may_yield(view: &PlannedView) -> bool {
     view.is_tile() || view.is_proposal()
 }
 
-/// A plan of its own for when there is none: the partitions, from where the last one stopped.
-pub fn sweep(partitions: &[(u32, View)], first: usize) -> Vec<PlannedView> {
-    let count = partitions.len();
+/// The views of a frame without a plan: all tiles, from where the last sweep stopped.
+pub(crate) fn sweep(tiles: &[(u32, View)], first: usize) -> Vec<PlannedView> {
+    let count = tiles.len();
     (0..count)
-        .map(|k| partitions[(first + k) % count])
+        .map(|k| tiles[(first + k) % count])
         .map(|(tile, view)| PlannedView {
             camera_from_view: xyzw(&view.camera_from_view),
             focal_px: view.focal_px,
@@ -294,18 +296,18 @@ mod tests {
         let mut cut = 0;
         loop {
             match job.next((cut >= newer_from).then_some(StopReason::Newer)) {
-                Next::Cut { index, .. } => {
+                NextView::Cut { index, .. } => {
                     assert_eq!(index, cut);
                     job.note_issued(index);
                     job.note_answer(index, hit == Some(index));
                     cut += 1;
                 }
-                Next::End(reason) => {
+                NextView::End(reason) => {
                     job.note_end(reason);
                     assert!(job.is_done());
                     return (cut, reason);
                 }
-                Next::Wait => panic!("nothing to wait for"),
+                NextView::Wait => panic!("nothing to wait for"),
             }
         }
     }
@@ -327,7 +329,7 @@ mod tests {
     }
 
     #[test]
-    fn a_newer_frame_pushes_out_partitions_only() {
+    fn a_newer_frame_pushes_out_tiles_only() {
         let mut searched = job(StopRule::Deadline, &[Gaze, Gaze, Part, Part, Part], usize::MAX);
         assert_eq!(run(&mut searched, None, 0), (2, StopReason::Newer));
         let mut searched = job(StopRule::Deadline, &[Part; 5], usize::MAX);
@@ -374,13 +376,13 @@ mod tests {
         searched.take_back(1);
         assert_eq!(
             searched.next(Some(StopReason::Newer)),
-            Next::Wait,
+            NextView::Wait,
             "an answered view is not taken back"
         );
         searched.take_back(0);
         assert_eq!(
             searched.next(Some(StopReason::Newer)),
-            Next::Cut { index: 0, is_yielding: false }
+            NextView::Cut { index: 0, is_yielding: false }
         );
         searched.note_issued(0);
         assert!(!searched.is_done());
@@ -390,7 +392,7 @@ mod tests {
     }
 
     #[test]
-    fn all_neighbours_and_as_many_partitions_as_before_and_some_are_likely() {
+    fn all_neighbours_and_as_many_tiles_as_before_and_some_are_likely() {
         let kinds = [Gaze, Part, Part, Part, Gaze, Part, Part];
         let of = |rule, budget, searched| job(rule, &kinds, budget).likely(searched);
         assert_eq!(of(StopRule::Deadline, usize::MAX, 0), [0, 1, 2, 4]);
@@ -406,8 +408,8 @@ mod tests {
     #[test]
     fn a_sweep_goes_on_where_the_last_one_stopped() {
         let views = Partition::icosahedron().views(0.1, 600.0).expect("fits");
-        let partitions: Vec<_> = (0..).zip(views).collect();
-        let order: Vec<_> = sweep(&partitions, 10).iter().map(|view| view.tile).collect();
+        let tiles: Vec<_> = (0..).zip(views).collect();
+        let order: Vec<_> = sweep(&tiles, 10).iter().map(|view| view.tile).collect();
         assert_eq!(order, [10, 11, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9]);
     }
 }

@@ -2,7 +2,7 @@
 
 use flockeye_imaging::sphere::{Cut, SphereError, SphereImage};
 
-/// What tells frames apart. Two images under one key are taken for the same.
+/// Identity of a frame. Two images under one key are taken for the same.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord)]
 pub struct FrameKey {
     /// The source's process.
@@ -16,9 +16,10 @@ pub struct FrameKey {
 /// Cuts views from frames.
 ///
 /// [`Rectifier::cut`] alone gives any view of any frame. A graphics processor works ahead if it is
-/// told before: of a frame that will come next by [`Rectifier::prepare`], so that it is uploaded
-/// while another is being cut, and of views that will be asked for by [`Rectifier::order`], so that
-/// they are cut together. Both return at once, and whoever does not need them ignores them.
+/// informed before: of a frame that will come next by [`Rectifier::prepare`], so that it is
+/// uploaded while another is being cut, and of views that will be asked for by
+/// [`Rectifier::order`], so that they are cut together. Both return at once, and whoever does not
+/// need them ignores them.
 ///
 /// Both back ends give the same greys within 2, and each the same bytes whatever was prepared and
 /// ordered.
@@ -29,14 +30,14 @@ pub trait Rectifier {
     /// Begins to take up a frame. One prepared before and not cut since may make room for it.
     ///
     /// # Errors
-    /// The device was lost or cannot hold the frame.
+    /// The device was lost or has no room for the frame.
     fn prepare(&mut self, frame: FrameKey, sphere: &SphereImage<'_>) -> Result<(), RectifyError>;
 
     /// Begins to make `cuts` of a frame. Those ordered before are made only once, those that show
     /// nothing are left to [`Rectifier::cut`] to refuse.
     ///
     /// # Errors
-    /// The device was lost, or cannot hold the frame or a view.
+    /// The device was lost, or has no room for the frame or a view.
     fn order(
         &mut self,
         frame: FrameKey,
@@ -75,10 +76,10 @@ pub enum RectifyError {
     Device {
         /// The device's name.
         adapter: String,
-        /// What its driver says.
+        /// The driver's message.
         reason: String,
     },
-    /// More than the device can hold.
+    /// More than the device has room for.
     #[error(
         "the {what} are {needed}, but '{adapter}' allows {limit}; make it smaller or set \
          rectification.backend to 'cpu'"
@@ -98,7 +99,7 @@ pub enum RectifyError {
     Lost {
         /// The device's name.
         adapter: String,
-        /// What its driver says.
+        /// The driver's message.
         reason: String,
     },
 }

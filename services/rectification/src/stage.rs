@@ -1,44 +1,36 @@
 //! The rectification stage: moves messages between the ports, the core and the back end.
 
-use std::rc::Rc;
-use std::time::Duration;
-
-use anyhow::Context as _;
+use anyhow::{Context as _, Result as Outcome};
 use flockeye_config::Pipeline;
-use flockeye_contract::{FrameEnds, FrameOrder, Frames, StageName, Views};
+use flockeye_contract::{FrameEnds, FrameOrder, Frames, ViewHeader, Views};
+use flockeye_imaging::sphere::Cut;
 use flockeye_runtime::findings::Finding;
 use flockeye_runtime::health::SharedCounters;
-use flockeye_runtime::listening::Listening;
 use flockeye_runtime::logs::Throttle;
 use flockeye_runtime::ports::{Message, Ports, Publisher};
 use flockeye_runtime::{Context, Stage, Step, clock};
 
 use crate::backend::{self, choose_backend};
 use crate::core::{Action, Core, CutOrder, Event};
-use crate::cutting::{Cutter, view_header};
+use crate::cutting::Cutter;
 use crate::inbox::Inbox;
-use crate::proposing::Proposing;
+use crate::proposals::ProposalSearch;
+use crate::silence_reports::SilenceReports;
 use crate::standby::Standby;
 
-/// A source that sends nothing for this long is reported, nanoseconds.
-const SILENCE_NS: i64 = 5_000_000_000;
+type FrameEvent = Event<Message<Frames>>;
 
 /// Takes frames, plans and detections (as acknowledgements); gives views and frame ends.
-pub struct RectificationStage {
+pub(crate) struct RectificationStage {
     inbox: Inbox,
     /// One for each worker.
     views: Vec<Publisher<Views>>,
     frame_ends: Publisher<FrameEnds>,
     core: Core<Message<Frames>>,
     cutter: Cutter,
-    proposing: Proposing,
-    generation: u32,
-    listening: Rc<Listening>,
-    overdue: Duration,
+    reports: SilenceReports,
     counters: SharedCounters,
     failures: Throttle,
-    refusals: Throttle,
-    silence: Throttle,
 }
 
 impl Stage for RectificationStage {
@@ -59,14 +51,9 @@ impl Stage for RectificationStage {
             frame_ends: ports.publisher()?,
             core: Core::of(resolved, generation, clock::monotonic_ns())?,
             cutter: Cutter::new(standby, resolved.camera),
-            proposing: Proposing::of(resolved)?,
-            generation,
-            listening: ports.listening(),
-            overdue: pipeline.view_overdue(),
+            reports: SilenceReports::new(ports.listening(), pipeline.view_overdue()),
             counters: context.counters.clone(),
             failures: Throttle::default(),
-            refusals: Throttle::default(),
-            silence: Throttle::default(),
         })
     }
 
@@ -76,15 +63,28 @@ impl Stage for RectificationStage {
 
     fn step(&mut self) -> anyhow::Result<Step> {
         self.counters.add_dropped(self.inbox.receive(&mut self.core)?);
-        self.report_silence();
-        self.report_silent_workers();
-        self.prepare();
+        self.reports.attend(&mut self.core);
+        if let Some((header, frame)) = self.core.waiting()
+            && let Err(error) = self.cutter.prepare(header, frame.items())
+        {
+            tracing::debug!("a frame cannot be prepared: {error:#}"); // a warning follows when work on it begins
+        }
         let action = self.core.step(clock::monotonic_ns());
-        match action {
-            Action::TakeUp(frame) => self.take_up(frame),
-            Action::Cut(order) => self.cut(order),
-            Action::End(end) => self.frame_ends.send(end, &[])?,
+        match &action {
             Action::Wait(_) => {}
+            Action::End(end) => self.frame_ends.send(*end, &[])?,
+            Action::TakeUp { frame, likely } => {
+                let done = self.announce(*frame, likely);
+                self.feed(*frame, done, "frame refused");
+            }
+            Action::Look { frame, search } => {
+                let done = self.look(*frame, search).map(Some);
+                self.feed(*frame, done, "a view cannot be cut");
+            }
+            Action::Cut(order) => {
+                let done = self.cut(order).map(Some);
+                self.feed(order.frame(), done, "a view cannot be cut");
+            }
         }
         self.counters.set_queued(self.core.outstanding());
         Ok(match action {
@@ -94,98 +94,52 @@ impl Stage for RectificationStage {
     }
 
     fn drain(&mut self) -> anyhow::Result<()> {
-        for end in self.core.shut_down(clock::monotonic_ns()) {
-            self.frame_ends.send(end, &[])?;
-        }
-        Ok(())
+        let ends = self.core.shut_down(clock::monotonic_ns());
+        Ok(ends.into_iter().try_for_each(|end| self.frame_ends.send(end, &[]))?)
     }
 }
 
 impl RectificationStage {
-    fn report_silence(&mut self) {
-        let silence_ns = self.core.silence_ns(clock::monotonic_ns());
-        if silence_ns > SILENCE_NS && self.silence.admit().is_some() {
-            let s = silence_ns / 1_000_000_000;
-            tracing::warn!("no frame has come for {s} s: the source is away, or at its end");
-        }
-    }
-
-    /// Tells the launcher, which knows the worker's process and replaces it.
-    fn report_silent_workers(&mut self) {
-        for (worker, count) in self.core.silent_workers() {
-            let listening = &self.listening;
-            let overdue_ms = self.overdue.as_millis();
-            let detail = format!("no view answered for {overdue_ms} ms");
-            listening.complain_of_silence(StageName::Detection, worker as u32, count, &detail);
-        }
-    }
-
-    fn prepare(&mut self) {
-        if let Some((header, frame)) = self.core.waiting()
-            && let Err(error) = self.cutter.prepare(header, frame.items())
-        {
-            tracing::debug!("a frame cannot be prepared: {error:#}"); // warned of when taken up
-        }
-    }
-
-    fn take_up(&mut self, frame: FrameOrder) {
-        let Some(held) = self.core.held_mut(frame) else { return };
-        let likely = std::mem::take(&mut held.likely);
-        if let Err(error) = self.cutter.order(held, Message::items, &likely) {
-            // Its end is published all the same: others wait for it.
-            self.core.on(Event::Refused(frame), clock::monotonic_ns());
+    /// Gives the core the outcome of an action on a frame. A failed frame's end is published all
+    /// the same: others wait for it.
+    fn feed(&mut self, frame: FrameOrder, outcome: Outcome<Option<FrameEvent>>, what: &str) {
+        let event = outcome.unwrap_or_else(|error| {
             self.counters.add_failed(1);
-            if let Some(more) = self.refusals.admit() {
-                tracing::warn!(frame = frame.2, more_since = more, "frame refused: {error:#}");
+            if let Some(more) = self.failures.admit() {
+                tracing::warn!(frame = frame.2, more_since = more, "{what}: {error:#}");
             }
+            Some(Event::Failed(frame))
+        });
+        if let Some(event) = event {
+            self.core.on(event, clock::monotonic_ns());
         }
     }
 
-    fn cut(&mut self, order: CutOrder) {
-        let placed = self.place_proposals(order);
+    fn announce(&mut self, frame: FrameOrder, cuts: &[Cut]) -> Outcome<Option<FrameEvent>> {
+        let (header, frame) = self.core.frame(frame).context("the frame is gone")?;
+        self.cutter.announce(header, frame.items(), cuts)?;
+        Ok(None)
+    }
+
+    fn look(&mut self, frame: FrameOrder, search: &ProposalSearch) -> Outcome<FrameEvent> {
         let begun_ns = clock::monotonic_ns();
-        let event = match placed.and_then(|()| self.publish(order)) {
-            Ok(issued_ns) => Event::Published { order, took_ns: issued_ns - begun_ns },
-            Err(error) => {
-                self.counters.add_failed(1);
-                if let Some(more) = self.failures.admit() {
-                    tracing::warn!(more_since = more, "a view cannot be cut: {error:#}");
-                }
-                Event::CutFailed(order)
-            }
-        };
-        self.core.on(event, clock::monotonic_ns());
+        let (header, pixels) = self.core.frame(frame).context("the frame is gone")?;
+        let found = self.cutter.look(header, pixels.items(), search)?;
+        Ok(Event::Looked { frame, found, took_ns: clock::monotonic_ns() - begun_ns })
     }
 
-    /// Finds the places of a frame's proposals once the first of them is due: tracked neighbours' views are
-    /// cut before, and no pose waits for it.
-    fn place_proposals(&mut self, order: CutOrder) -> anyhow::Result<()> {
-        let held = self.core.held_mut(order.frame).context("the frame is not held")?;
-        if held.job.awaits_places() && held.job.proposal(order.view_index).is_some() {
-            let begun_ns = clock::monotonic_ns();
-            self.cutter.propose(held, Message::items, &mut self.proposing)?;
-            let now_ns = clock::monotonic_ns();
-            let proposals = held.job.proposal_indices();
-            self.cutter.order(held, Message::items, &proposals)?;
-            self.core.on(Event::Looked { took_ns: now_ns - begun_ns }, now_ns);
-        }
-        Ok(())
-    }
-
-    /// Cuts a view straight into shared memory, publishes it, and says when.
-    fn publish(&mut self, order: CutOrder) -> anyhow::Result<i64> {
-        let held = self.core.held_mut(order.frame).context("the frame is not held")?;
-        let (view, _) = held.job.view(order.view_index).context("it is not in the plan")?;
-        let publisher = self.views.get(order.worker).context("there is no such worker")?;
-        let mut loan = publisher.loan((view.size_px as usize).pow(2))?;
-        self.cutter.cut(held, Message::items, order, loan.items_mut())?;
-        if let Some(place) = held.job.proposal(order.view_index) {
-            self.proposing.note_cut(place);
-        }
+    /// Cuts a view straight into shared memory, and publishes it.
+    fn cut(&mut self, order: &CutOrder) -> Outcome<FrameEvent> {
+        let begun_ns = clock::monotonic_ns();
+        let (header, frame) = self.core.frame(order.frame()).context("the frame is gone")?;
+        let worker = order.header.worker as usize;
+        let publisher = self.views.get(worker).context("there is no such worker")?;
+        let mut loan = publisher.loan((order.header.size_px as usize).pow(2))?;
+        self.cutter.cut(header, frame.items(), order, loan.items_mut())?;
         let issued_ns = clock::monotonic_ns();
-        let header = view_header(&held.job, order, self.generation, issued_ns);
-        loan.send(header.context("it is not in the plan")?)?;
-        self.counters.add_latency_ns(issued_ns - held.job.taken_ns);
-        Ok(issued_ns)
+        let header = ViewHeader { issued_ns, ..order.header };
+        loan.send(header)?;
+        self.counters.add_latency_ns(issued_ns - header.taken_ns);
+        Ok(Event::Published { header, took_ns: issued_ns - begun_ns })
     }
 }

@@ -7,7 +7,7 @@ use crate::cpu::CpuRectifier;
 use crate::rectifier::{FrameKey, Rectifier, RectifyError};
 
 /// Hands everything on to a back end. When that is lost, be it in the middle of a frame, the
-/// processor does what the back end could not, and all that comes after; a warning says so once.
+/// processor does what the back end could not, and all that comes after; one warning reports it.
 pub struct Standby {
     active: Box<dyn Rectifier>,
     threads: usize,

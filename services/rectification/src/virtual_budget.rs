@@ -1,5 +1,5 @@
-//! Which views of a frame fit into its time by stated costs, so that a lossless run cuts what flight cuts
-//! and still gives the same bytes each time.
+//! Which views of a frame fit into its time by stated costs, so that a lossless run cuts what
+//! flight cuts and still gives the same bytes each time.
 
 use flockeye_config::Costs;
 use flockeye_contract::{FrameStamp, PlannedView, Search};
@@ -17,11 +17,11 @@ pub const PROPOSAL_WINDOWS: f64 = 5.0;
 
 /// Processor time that is left of a frame, by the stated costs of the configuration.
 ///
-/// A frame has the interval to the frame before, on each processor. Its source, its regions of interest
-/// and what fusion does with them come first; tiles get what is left. A frame that takes longer than it
-/// has takes the rest from the next one.
+/// A frame has the interval to the frame before, on each processor. Its source, its regions of
+/// interest and what fusion does with them come first; tiles get what is left. A frame that takes
+/// longer than it has takes the rest from the next one.
 #[derive(Debug, Clone)]
-pub struct VirtualBudget {
+pub(crate) struct VirtualBudget {
     costs: Costs,
     /// What each frame takes before its views.
     each_frame_ms: f64,
@@ -30,16 +30,16 @@ pub struct VirtualBudget {
 }
 
 impl VirtualBudget {
-    /// A budget with these costs, before the first frame. `has_egomotion`: whether the camera's rotation is
-    /// measured.
-    pub fn new(costs: Costs, has_egomotion: bool) -> Self {
+    /// A budget with these costs, before the first frame. `has_egomotion`: whether the camera's
+    /// rotation is measured.
+    pub(crate) fn new(costs: Costs, has_egomotion: bool) -> Self {
         let egomotion_ms = if has_egomotion { costs.egomotion_ms } else { 0.0 };
         let each_frame_ms = costs.source_ms + egomotion_ms;
         Self { costs, each_frame_ms, last: None, left_ms: 0.0 }
     }
 
     /// A frame is taken up.
-    pub fn begin_frame(&mut self, stamp: &FrameStamp) {
+    pub(crate) fn begin_frame(&mut self, stamp: &FrameStamp) {
         let interval_ns = self.last.and_then(|last| stamp.interval_ns(&last));
         let interval_ns = interval_ns.unwrap_or(FIRST_INTERVAL_NS).min(MAX_INTERVAL_NS);
         self.last = Some(*stamp);
@@ -50,18 +50,18 @@ impl VirtualBudget {
     }
 
     /// Whether a view fits into what is left, with the look for places that it may need.
-    pub fn fits(&self, next: Upcoming<'_>) -> bool {
+    pub(crate) fn fits(&self, next: Upcoming<'_>) -> bool {
         let look_ms = if next.needs_look { self.costs.proposals_ms } else { 0.0 };
         look_ms + self.cost_ms(next.view) <= self.left_ms
     }
 
     /// A view was cut.
-    pub fn spend(&mut self, planned: &PlannedView) {
+    pub(crate) fn spend(&mut self, planned: &PlannedView) {
         self.left_ms -= self.cost_ms(planned);
     }
 
     /// The picture was looked at for places like a body.
-    pub fn spend_look(&mut self) {
+    pub(crate) fn spend_look(&mut self) {
         self.left_ms -= self.costs.proposals_ms;
     }
 

@@ -9,7 +9,7 @@ use flockeye_detection::{DarkerBy, Detector, DetectorParameters, Found, Threshol
 use flockeye_geometry::view::View;
 use flockeye_imaging::image::LumaImage;
 use flockeye_imaging::light::{CodeRange, LinearLight, TransferCurve};
-use flockeye_rectification::virtual_budget::PROPOSAL_WINDOWS;
+use flockeye_rectification::PROPOSAL_WINDOWS;
 use flockeye_tests::{Scratch, run};
 use gstreamer as gst;
 use gstreamer::prelude::*;

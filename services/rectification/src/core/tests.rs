@@ -6,7 +6,7 @@ use super::*;
 use crate::cadence::Cadence;
 use crate::frame_clock::Clock;
 use crate::virtual_budget::VirtualBudget;
-use flockeye_config::Costs;
+use flockeye_config::{Costs, Pipeline};
 use flockeye_contract::{FrameStamp, ViewKind};
 use flockeye_geometry::partition::Partition;
 
@@ -14,9 +14,12 @@ const MS: i64 = 1_000_000;
 
 fn core(flow: Flow, clock: Clock, workers: usize) -> Core<()> {
     let views = Partition::icosahedron().views(0.1, 600.0).unwrap();
-    let options =
-        Options { flow, generation: 3, workers, window: 2, overdue: Duration::from_millis(500) };
-    Core::new(options, FrameClock::new(clock), (0..).zip(views).collect(), 0)
+    let camera = Camera::equirectangular(3840, 1920);
+    let overdue = Duration::from_millis(500);
+    let options = Options { flow, generation: 3, workers, window: 2, overdue, camera };
+    let resolved = Resolved::of(Pipeline::parse("", &[], "a test").unwrap()).unwrap();
+    let proposals = ProposalChooser::of(&resolved).unwrap();
+    Core::new(options, FrameClock::new(clock), (0..).zip(views).collect(), proposals, 0)
 }
 
 fn flying(workers: usize) -> Core<()> {
@@ -51,29 +54,35 @@ fn plan(plan_id: u64, kinds: &[ViewKind], made_ns: i64) -> Event<()> {
     Event::Plan(header, kinds.iter().map(view).collect())
 }
 
-fn answer(order: CutOrder) -> Event<()> {
-    let (_, _, sequence) = order.frame;
+fn answer(order: &CutOrder) -> Event<()> {
+    let ViewHeader { stamp, view_index, worker, attempt, .. } = order.header;
     Event::Answer(DetectionHeader {
-        stamp: stamp(sequence),
-        view_index: order.view_index,
-        worker: order.worker as u32,
-        attempt: order.attempt,
+        stamp,
+        view_index,
+        worker,
+        attempt,
         ..DetectionHeader::default()
     })
 }
 
-/// Cuts and answers views at once until there is nothing to do: how many of each frame, and the ends.
+fn published(order: &CutOrder) -> Event<()> {
+    Event::Published { header: order.header, took_ns: MS }
+}
+
+/// Cuts and answers views at once until there is nothing to do: how many of each frame, and the
+/// ends.
 fn run(core: &mut Core<()>, now_ns: i64) -> (Vec<CutOrder>, Vec<FrameEnd>) {
     let (mut orders, mut ends) = (Vec::new(), Vec::new());
     loop {
         match core.step(now_ns) {
-            Action::TakeUp(_) => {}
+            Action::TakeUp { .. } => {}
             Action::Cut(order) => {
+                core.on(published(&order), now_ns);
+                core.on(answer(&order), now_ns);
                 orders.push(order);
-                core.on(Event::Published { order, took_ns: MS }, now_ns);
-                core.on(answer(order), now_ns);
             }
             Action::End(end) => ends.push(end),
+            Action::Look { .. } => panic!("no proposals are planned"),
             Action::Wait(_) => return (orders, ends),
         }
         assert!(orders.len() < 1000);
@@ -84,7 +93,7 @@ fn run(core: &mut Core<()>, now_ns: i64) -> (Vec<CutOrder>, Vec<FrameEnd>) {
 fn next_cut(core: &mut Core<()>, now_ns: i64) -> CutOrder {
     loop {
         match core.step(now_ns) {
-            Action::TakeUp(_) => {}
+            Action::TakeUp { .. } => {}
             Action::Cut(order) => return order,
             other => panic!("{other:?}"),
         }
@@ -103,14 +112,13 @@ fn a_frame_without_a_plan_is_swept_from_where_the_last_one_stopped() {
     core.on(frame(0), 0);
     for _ in 0..4 {
         let order = next_cut(&mut core, 0);
-        core.on(Event::Published { order, took_ns: MS }, 0);
-        core.on(answer(order), 0);
+        core.on(published(&order), 0);
+        core.on(answer(&order), 0);
     }
     assert!(!core.on(frame(1), MS), "none waited");
     assert!(matches!(core.step(MS), Action::End(end) if reason(&end) == StopReason::Newer));
     let order = next_cut(&mut core, MS);
-    let held = core.held_mut(order.frame).unwrap();
-    assert_eq!((held.job.plan_id, held.job.view(0).unwrap().1.tile), (0, 4));
+    assert_eq!((order.header.plan_id, order.header.view_index, order.header.tile), (0, 0, 4));
     assert_eq!(core.outstanding(), 0);
 }
 
@@ -118,7 +126,7 @@ fn a_frame_without_a_plan_is_swept_from_where_the_last_one_stopped() {
 fn the_newest_frame_waits_and_the_others_are_dropped() {
     let mut core = flying(2);
     assert!(!core.on(frame(0), 0) && core.on(frame(1), 1) && core.on(frame(2), 2));
-    assert!(matches!(core.step(3), Action::TakeUp((0, 0, 2))));
+    assert!(matches!(core.step(3), Action::TakeUp { frame: (0, 0, 2), .. }));
     assert!(!core.has_waiting());
 }
 
@@ -147,16 +155,19 @@ fn regions_are_cut_at_once_and_tiles_one_at_a_time() {
     core.on(frame(0), 0);
     let cut = |core: &mut Core<()>| {
         let order = next_cut(core, 0);
-        core.on(Event::Published { order, took_ns: MS }, 0);
+        core.on(published(&order), 0);
         order
     };
     let orders = [cut(&mut core), cut(&mut core)];
-    assert_eq!(orders.map(|order| (order.view_index, order.worker)), [(0, 0), (1, 1)]);
+    assert_eq!(
+        orders.each_ref().map(|order| (order.header.view_index, order.header.worker)),
+        [(0, 0), (1, 1)]
+    );
     assert!(matches!(core.step(0), Action::Wait(Some(_))), "one worker stays free of tiles");
-    core.on(answer(orders[0]), 0);
+    core.on(answer(&orders[0]), 0);
     assert!(matches!(core.step(0), Action::Wait(Some(_))));
-    core.on(answer(orders[1]), 0);
-    assert_eq!(cut(&mut core).view_index, 2);
+    core.on(answer(&orders[1]), 0);
+    assert_eq!(cut(&mut core).header.view_index, 2);
     assert!(matches!(core.step(0), Action::Wait(Some(_))));
 }
 
@@ -168,17 +179,18 @@ fn the_views_of_a_silent_worker_go_to_another() {
     let mut orders = Vec::new();
     for _ in 0..2 {
         let order = next_cut(&mut core, 0);
-        core.on(Event::Published { order, took_ns: MS }, 0);
+        core.on(published(&order), 0);
         orders.push(order);
     }
-    core.on(answer(orders[0]), MS);
+    core.on(answer(&orders[0]), MS);
     assert!(matches!(core.step(MS), Action::End(_)));
     assert!(matches!(core.step(400 * MS), Action::Wait(Some(_))));
     let again = next_cut(&mut core, 500 * MS);
-    assert_eq!((again.view_index, again.worker, again.attempt), (1, 0, 1));
-    core.on(Event::Published { order: again, took_ns: MS }, 500 * MS);
-    assert!(core.held_mut((0, 0, 0)).is_some());
-    core.on(answer(again), 510 * MS);
+    let ViewHeader { view_index, worker, attempt, .. } = again.header;
+    assert_eq!((view_index, worker, attempt), (1, 0, 1));
+    core.on(published(&again), 500 * MS);
+    assert!(core.frame((0, 0, 0)).is_some());
+    core.on(answer(&again), 510 * MS);
     assert_eq!(core.step(510 * MS), Action::Wait(None), "the frame is released");
 }
 
@@ -187,14 +199,14 @@ fn a_frame_that_cannot_be_cut_ends_as_failed_and_the_next_goes_on() {
     let mut core = flying(2);
     core.on(plan(1, &[Gaze, Gaze], 0), 0);
     core.on(frame(0), 0);
-    assert!(matches!(core.step(0), Action::TakeUp(_)));
-    core.on(Event::Refused((0, 0, 0)), 0);
+    assert!(matches!(core.step(0), Action::TakeUp { .. }));
+    core.on(Event::Failed((0, 0, 0)), 0);
     let (orders, ends) = run(&mut core, 0);
     assert!(orders.is_empty());
     assert_eq!((reason(&ends[0]), ends[0].views_issued), (StopReason::Failed, 0));
     core.on(frame(1), 0);
     let order = next_cut(&mut core, 0);
-    core.on(Event::CutFailed(order), 0);
+    core.on(Event::Failed(order.frame()), 0);
     assert!(matches!(core.step(0), Action::End(end) if reason(&end) == StopReason::Failed));
     core.on(frame(2), 0);
     assert_eq!(run(&mut core, 0).0.len(), 2);
@@ -206,15 +218,15 @@ fn a_view_that_cannot_be_cut_again_releases_its_frame() {
     core.on(plan(1, &[Gaze], 0), 0);
     core.on(frame(0), 0);
     let order = next_cut(&mut core, 0);
-    core.on(Event::Published { order, took_ns: MS }, 0);
+    core.on(published(&order), 0);
     assert!(matches!(core.step(0), Action::End(_)));
     // The worker is tried again after half of the time.
     assert!(matches!(core.step(500 * MS), Action::Wait(Some(_))));
     let again = next_cut(&mut core, 750 * MS);
-    assert_eq!(again.attempt, 1);
-    core.on(Event::CutFailed(again), 750 * MS);
+    assert_eq!(again.header.attempt, 1);
+    core.on(Event::Failed(again.frame()), 750 * MS);
     assert_eq!(core.step(750 * MS), Action::Wait(None), "its end is out already");
-    assert_eq!((core.outstanding(), core.held_mut(order.frame).is_none()), (0, true));
+    assert_eq!((core.outstanding(), core.frame(order.frame()).is_none()), (0, true));
 }
 
 #[test]
@@ -245,6 +257,46 @@ fn a_lossless_frame_is_cut_as_far_as_its_costs_allow_whatever_the_time() {
     assert_eq!(tiles(0), tiles(10_000 * MS));
 }
 
+/// A place that looks like a body, in a direction.
+fn place(x: f64, y: f64) -> Proposal {
+    let direction_in_camera = nalgebra::Unit::new_normalize(nalgebra::Vector3::new(x, y, 0.0));
+    Proposal { direction_in_camera, side_rad: 0.02, score: 1.0 }
+}
+
+/// A core that is about to cut the first proposal of a frame, and has searched it for places.
+fn looking() -> Core<()> {
+    let mut core = flying(2);
+    core.on(plan(1, &[Gaze, ViewKind::Proposal, ViewKind::Proposal], 0), 0);
+    core.on(frame(0), 0);
+    let region = next_cut(&mut core, 0);
+    assert_eq!(region.header.view_index, 0);
+    core.on(published(&region), 0);
+    let looked = core.step(0);
+    assert!(matches!(looked, Action::Look { frame: (0, 0, 0), .. }), "{looked:?}");
+    core
+}
+
+#[test]
+fn a_frame_is_searched_for_places_once_before_its_first_proposal() {
+    let mut core = looking();
+    let found = vec![place(1.0, 0.0), place(0.0, 1.0)];
+    core.on(Event::Looked { frame: (0, 0, 0), found, took_ns: MS }, MS);
+    // A frame that comes meanwhile does not undo what was decided.
+    core.on(frame(1), MS);
+    let first = next_cut(&mut core, MS);
+    assert_eq!((first.header.view_index, first.ahead.len()), (1, 2), "the back end gets both");
+    assert!(first.cut.view.direction_in_camera().x > 0.99);
+    core.on(published(&first), MS);
+    assert!(matches!(core.step(MS), Action::End(end) if reason(&end) == StopReason::Newer));
+}
+
+#[test]
+fn a_search_for_places_that_fails_ends_its_frame() {
+    let mut core = looking();
+    core.on(Event::Failed((0, 0, 0)), MS);
+    assert!(matches!(core.step(MS), Action::End(end) if reason(&end) == StopReason::Failed));
+}
+
 #[test]
 fn silence_counts_from_the_last_frame_that_came() {
     let mut core = flying(1);
@@ -259,7 +311,7 @@ fn silence_counts_from_the_last_frame_that_came() {
 fn open_frames_are_ended_when_the_stage_stops() {
     let mut core = flying(1);
     core.on(frame(4), 0);
-    assert!(matches!(core.step(0), Action::TakeUp(_)));
+    assert!(matches!(core.step(0), Action::TakeUp { .. }));
     let ends = core.shut_down(1);
     assert_eq!((ends.len(), ends[0].stamp.sequence), (1, 4));
     assert_eq!(reason(&ends[0]), StopReason::Shutdown);

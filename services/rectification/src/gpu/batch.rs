@@ -80,7 +80,8 @@ impl Batch {
         self.readback.as_ref().unwrap_or(&self.output)
     }
 
-    /// Takes as many of `cuts` as one output can hold, and tells how many; the batch is empty.
+    /// Takes as many of `cuts` as one output has room for, and returns how many; the batch is
+    /// empty.
     pub(super) fn fill(
         &mut self,
         device: &Device,

@@ -23,7 +23,7 @@ pub(super) struct Device {
     pub shader: Shader,
     /// Bytes that one buffer of the shader may have.
     pub max_bytes: u64,
-    /// What the driver said first when something went wrong.
+    /// The driver's first message when something went wrong.
     failure: Arc<Mutex<Option<String>>>,
 }
 
@@ -87,7 +87,7 @@ impl Device {
         self.failure().map_or(Ok(()), |reason| Err(self.lost(reason)))
     }
 
-    /// Gives the device up, for `reason` unless it has told one before.
+    /// Gives the device up, for `reason` unless there was one before.
     pub(super) fn give_up(&self, reason: String) -> RectifyError {
         let mut failure = self.failure.lock().unwrap_or_else(PoisonError::into_inner);
         self.lost(failure.get_or_insert(reason).clone())
@@ -117,8 +117,8 @@ impl Device {
         })
     }
 
-    /// Replaces `buffer` by one of at least `bytes` if it is smaller, and tells whether it was; its
-    /// contents are lost then.
+    /// Replaces `buffer` by one of at least `bytes` if it is smaller, and returns whether it was;
+    /// its contents are lost then.
     pub(super) fn grow(&self, buffer: &mut wgpu::Buffer, bytes: u64) -> bool {
         let is_smaller = buffer.size() < bytes;
         if is_smaller {

@@ -1,4 +1,4 @@
-//! What the shader is told, and where in the buffers what lies.
+//! The shader's parameters, and where everything lies in the buffers.
 
 use bytemuck::{Pod, Zeroable};
 use flockeye_geometry::camera::{Camera, CameraModel, Lens, LensCurve, Stereographic};
@@ -50,7 +50,7 @@ pub(super) struct SphereUniform {
 impl SphereUniform {
     pub(super) fn new(camera: &Camera, stride: usize) -> Self {
         let (width, height) = (camera.width(), camera.height());
-        // Longer strides make frames that no buffer holds, which are refused before.
+        // Longer strides make frames that no buffer has room for, which are refused before.
         let stride = u32::try_from(stride).unwrap_or(u32::MAX);
         let sphere = Self { width, height, stride, ..Self::default() };
         match camera.model() {
@@ -129,7 +129,7 @@ pub(super) struct ViewParameters {
     /// The view's first workgroup, and how many lie side by side.
     first_tile: u32,
     tiles_across: u32,
-    /// One over the distance that the view is right for, 1/m.
+    /// Inverse of the distance that the view is right for, 1/m.
     nearness: f32,
     /// 0: bilinear, 1: cubic.
     interpolation: u32,
@@ -210,7 +210,7 @@ impl Layout {
     }
 }
 
-/// Of an equirectangular image, directions are counted from the pixel next to a pole, if the view
+/// Directions in an equirectangular image are counted from the pixel next to a pole, if the view
 /// shows one or it is near, so that single precision tells the columns apart there too; from the
 /// middle otherwise. Where the view lies in the buffers is left open.
 fn parameters(cut: &Cut, camera: &Camera) -> ViewParameters {
@@ -300,7 +300,7 @@ mod tests {
         assert!(layout.add(&at(8), &CAMERA, 100));
         assert!(!layout.add(&at(8), &CAMERA, 100));
         assert_eq!((layout.views.len(), layout.bytes()), (1, 64));
-        // Whoever does not fit alone is told so by the same measure.
+        // A cut that does not fit alone is refused by the same measure.
         for size in [5, 8, 33] {
             let alone = Layout::bytes_alone(size);
             assert!(Layout::default().add(&at(size), &CAMERA, alone));

@@ -13,7 +13,7 @@ pub(super) enum Interpolations {
 }
 
 impl Interpolations {
-    /// Those of some views.
+    /// The parameters of some views.
     pub(super) fn of(cuts: &[Cut]) -> Self {
         let is_cubic = |cut: &Cut| cut.interpolation == Interpolation::Cubic;
         match (cuts.iter().any(is_cubic), cuts.iter().all(is_cubic)) {

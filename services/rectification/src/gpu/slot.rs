@@ -23,7 +23,7 @@ pub(super) struct Slot {
     /// Where the processor writes the pixels, if it cannot do so in place.
     staging: Option<Buffer>,
     batches: Vec<Batch>,
-    /// How many of them hold views of this frame.
+    /// How many of them have views of this frame.
     filled: usize,
     /// The last work on the frame's buffers.
     work: Option<SubmissionIndex>,
@@ -49,12 +49,12 @@ impl Slot {
         }
     }
 
-    /// Whether it holds this frame.
+    /// Whether it has this frame.
     pub(super) fn holds(&self, frame: FrameKey, sphere: &SphereImage<'_>) -> bool {
         self.frame == Some((frame, SphereUniform::new(sphere.camera(), sphere.stride())))
     }
 
-    /// Whether it holds a frame of which no view was ordered.
+    /// Whether it has a frame of which no view was ordered.
     pub(super) fn is_untouched(&self) -> bool {
         self.frame.is_some() && self.filled == 0
     }

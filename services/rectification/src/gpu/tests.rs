@@ -13,8 +13,8 @@ use crate::standby::Standby;
 
 const CAMERA: Camera = Camera::equirectangular(64, 32);
 
-/// Holds back other tests: drivers of real devices were seen to hang where several threads of a process open and destroy
-/// devices at once.
+/// Holds back other tests: drivers of real devices were seen to hang where several threads of a
+/// process open and destroy devices at once.
 static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
 
 fn alone() -> MutexGuard<'static, ()> {
@@ -184,7 +184,7 @@ fn what_the_device_cannot_hold_is_refused() {
     gpu.check_frame(&Camera::equirectangular(3838, 1920)).unwrap();
     let error = gpu.check_frame(&Camera::equirectangular(3842, 1920)).unwrap_err();
     assert!(error.to_string().contains("7376640, but"), "{error}");
-    // One that came all the same is refused too, and the rectifier lives on.
+    // A frame that comes all the same is refused too, and the rectifier lives on.
     gpu.device.max_bytes = 1000;
     let pixels = plain(70);
     let error = gpu.prepare(key(0), &sphere(&pixels)).unwrap_err();

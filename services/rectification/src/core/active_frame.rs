@@ -1,0 +1,128 @@
+//! A frame that rectification works on.
+
+use std::collections::BTreeSet;
+
+use flockeye_contract::{FrameOrder, PlannedView, ViewHeader};
+use flockeye_convert::xyzw;
+use flockeye_geometry::camera::Camera;
+use flockeye_geometry::view::View;
+use flockeye_imaging::sphere::{Cut, Interpolation};
+use nalgebra::Vector3;
+
+use super::events::CutOrder;
+use crate::job::Job;
+
+/// A frame whose views are being cut, or that waits for the answers to them.
+#[derive(Debug)]
+pub(crate) struct ActiveFrame<F> {
+    /// The owner of its pixels.
+    pub(crate) pixels: F,
+    /// Its views.
+    pub(crate) job: Job,
+    /// Views that the back end knows of.
+    announced: BTreeSet<u32>,
+}
+
+/// The worker and the attempt that a view is cut for.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Recipient {
+    /// The worker.
+    pub(crate) worker: usize,
+    /// How often the view was cut before.
+    pub(crate) attempt: u32,
+    /// The generation of this stage.
+    pub(crate) generation: u32,
+}
+
+impl<F> ActiveFrame<F> {
+    /// A frame of which nothing was cut.
+    pub(crate) fn new(job: Job, pixels: F) -> Self {
+        Self { pixels, job, announced: BTreeSet::new() }
+    }
+
+    /// The frame's place in the order of frames.
+    pub(crate) fn order(&self) -> FrameOrder {
+        self.job.frame.stamp.order()
+    }
+
+    /// The cuts of those of `views` that the back end does not know of yet. It knows of them all
+    /// then.
+    pub(crate) fn announce(
+        &mut self,
+        views: impl IntoIterator<Item = u32>,
+        camera: &Camera,
+    ) -> Vec<Cut> {
+        let mut cuts = Vec::new();
+        for index in views {
+            if self.announced.insert(index)
+                && let Some((view, planned)) = self.job.view(index)
+            {
+                cuts.push(cut_of(view, &planned, camera));
+            }
+        }
+        cuts
+    }
+
+    /// The order to cut a view for a worker. `None` for a view that is not in the plan.
+    pub(crate) fn cut_order(
+        &mut self,
+        index: u32,
+        recipient: Recipient,
+        camera: &Camera,
+    ) -> Option<CutOrder> {
+        let (view, planned) = self.job.view(index)?;
+        let ahead = match self.announced.contains(&index) {
+            true => Vec::new(),
+            false => {
+                let rest: Vec<u32> = self.job.from(index).collect();
+                self.announce(rest, camera)
+            }
+        };
+        let header = self.view_header(view, &planned, index, recipient);
+        Some(CutOrder { header, cut: cut_of(view, &planned, camera), ahead })
+    }
+
+    fn view_header(
+        &self,
+        view: View,
+        planned: &PlannedView,
+        view_index: u32,
+        recipient: Recipient,
+    ) -> ViewHeader {
+        let frame = &self.job.frame;
+        ViewHeader {
+            stamp: frame.stamp,
+            plan_id: self.job.plan_id,
+            taken_ns: self.job.taken_ns,
+            issued_ns: 0,
+            camera_from_view: xyzw(&view.camera_from_view),
+            focal_px: view.focal_px,
+            predicted_camera_from_markers: planned.predicted_camera_from_markers,
+            readout_ns: frame.readout_ns,
+            generation: recipient.generation,
+            view_index,
+            attempt: recipient.attempt,
+            worker: recipient.worker as u32,
+            size_px: view.size_px,
+            stride: view.size_px,
+            kind: planned.kind,
+            tile: planned.tile,
+            target: planned.target,
+            has_prediction: planned.has_prediction,
+            transfer: frame.transfer,
+            gamma: frame.gamma,
+            range: frame.range,
+            search: planned.search,
+        }
+    }
+}
+
+/// How a planned view is cut: exactly at the distance at which its neighbour is expected (without
+/// one, the camera's assumed distance), and interpolated as its magnification asks for.
+fn cut_of(view: View, planned: &PlannedView, camera: &Camera) -> Cut {
+    let distance_m = match planned.has_prediction {
+        0 => camera.distance_m(),
+        _ => Vector3::from(planned.predicted_camera_from_markers.position).norm(),
+    };
+    Cut { view, distance_m, interpolation: Interpolation::suited_to(&view, camera) }
+}
