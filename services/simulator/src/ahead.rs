@@ -1,7 +1,8 @@
 //! Frames drawn ahead of their time, on a thread of their own.
 //!
-//! A camera's picture is there when its exposure ends, however busy the processors are. Drawing one takes
-//! most of a frame's time; so some are drawn before, and one that takes longer makes none late.
+//! A camera's picture is there when its exposure ends, however busy the processors are. Drawing one
+//! takes most of a frame's time; so some are drawn before, and one that takes longer makes none
+//! late.
 
 use std::io;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
@@ -16,7 +17,7 @@ use crate::{FrameTruth, RenderError, World};
 /// Pictures that are drawn, or wait.
 const PICTURES: usize = 3;
 
-/// So many frames before its time a picture is there if all goes well.
+/// Frames that a picture is there before its time if all goes well.
 const FRAMES_AHEAD: u64 = 2;
 
 /// The longest that a picture is waited for at a time.
@@ -24,9 +25,7 @@ const PATIENCE: Duration = Duration::from_millis(50);
 
 /// A frame that has been drawn.
 #[derive(Debug)]
-pub struct Drawn {
-    /// Its number.
-    pub frame: u64,
+pub(crate) struct DrawnFrame {
     /// Its luma, row by row without gaps.
     pub luma: Vec<u8>,
     /// What is true of it.
@@ -41,9 +40,9 @@ pub struct Drawn {
 
 /// The thread that draws.
 #[derive(Debug)]
-pub struct Ahead {
+pub(crate) struct AheadDrawer {
     blank: SyncSender<Vec<u8>>,
-    drawn: Receiver<Result<Drawn, AheadError>>,
+    drawn: Receiver<Result<DrawnFrame, AheadError>>,
     /// Ends with how many frames it left out at the end.
     thread: Option<JoinHandle<u64>>,
     picture_bytes: usize,
@@ -52,7 +51,7 @@ pub struct Ahead {
 
 /// Why no more frames come.
 #[derive(Debug, thiserror::Error)]
-pub enum AheadError {
+pub(crate) enum AheadError {
     /// A frame could not be drawn.
     #[error("frame {frame}")]
     Render {
@@ -62,31 +61,31 @@ pub enum AheadError {
         source: RenderError,
     },
     /// The thread has panicked.
-    #[error("the thread that draws has ended; its panic was said before")]
+    #[error("the thread that draws has ended; its panic is in the log before")]
     ThreadEnded,
 }
 
-/// What is known of the next frame.
+/// What came of waiting for the next frame.
 #[derive(Debug)]
-pub enum Next {
-    /// Here it is.
-    Frame(Box<Drawn>),
-    /// It is not drawn yet.
+pub(crate) enum Delivery {
+    /// The frame.
+    Frame(Box<DrawnFrame>),
+    /// Nothing: it is not drawn yet.
     NotYet,
-    /// There is none.
+    /// The end: there is no further frame.
     Over {
         /// Frames that were left out at the end.
         skipped: u64,
     },
 }
 
-impl Ahead {
-    /// For the frames of `world` up to `last_frame`. Drawing begins when the first frame is asked for, which
-    /// takes longer than any other: the others' times follow from when it is there.
+impl AheadDrawer {
+    /// Draws the frames of `world` up to `last_frame`. Drawing begins when the first frame is asked
+    /// for, which takes longer than any other: the others' times follow from when it is there.
     ///
     /// # Errors
     /// The system starts no thread.
-    pub fn start(world: World, last_frame: u64) -> io::Result<Self> {
+    pub(crate) fn start(world: World, last_frame: u64) -> io::Result<Self> {
         let camera = world.parameters().camera;
         let picture_bytes = camera.width() as usize * camera.height() as usize;
         let (blank, blanks) = sync_channel(PICTURES);
@@ -101,24 +100,24 @@ impl Ahead {
     ///
     /// # Errors
     /// [`AheadError`].
-    pub fn take(&mut self) -> Result<Next, AheadError> {
+    pub(crate) fn take(&mut self) -> Result<Delivery, AheadError> {
         if !self.has_begun {
             self.has_begun = true;
             (0..PICTURES).for_each(|_| self.reuse(vec![0; self.picture_bytes]));
         }
         match self.drawn.recv_timeout(PATIENCE) {
-            Ok(drawn) => Ok(Next::Frame(Box::new(drawn?))),
-            Err(RecvTimeoutError::Timeout) => Ok(Next::NotYet),
+            Ok(drawn) => Ok(Delivery::Frame(Box::new(drawn?))),
+            Err(RecvTimeoutError::Timeout) => Ok(Delivery::NotYet),
             Err(RecvTimeoutError::Disconnected) => {
                 let skipped = self.thread.take().map_or(Ok(0), JoinHandle::join);
                 let skipped = skipped.map_err(|_| AheadError::ThreadEnded)?;
-                Ok(Next::Over { skipped })
+                Ok(Delivery::Over { skipped })
             }
         }
     }
 
     /// Gives a picture's memory back, to be drawn in again.
-    pub fn reuse(&self, luma: Vec<u8>) {
+    pub(crate) fn reuse(&self, luma: Vec<u8>) {
         // There is room for all there are; and where the thread has ended, nobody draws any more.
         let _ = self.blank.try_send(luma);
     }
@@ -129,12 +128,13 @@ fn draw_all(
     mut world: World,
     last_frame: u64,
     blanks: &Receiver<Vec<u8>>,
-    tell: &SyncSender<Result<Drawn, AheadError>>,
+    tell: &SyncSender<Result<DrawnFrame, AheadError>>,
 ) -> u64 {
     let width = world.parameters().camera.width() as usize;
     let frames_per_second = world.parameters().frames_per_second;
     let half_exposure_ns = (world.parameters().exposure_s * 0.5e9).round() as i64;
-    // Who looks at a swarm goes by the swarm's time; else the first frame says when all others are due.
+    // A drone of a swarm goes by the swarm's time; else all others are due by when the first frame
+    // is there.
     let mut schedule = world.parameters().swarm.map(|swarm| {
         let start_ns = swarm.start_ns + (world.parameters().time_of(0) * 1e9).round() as i64;
         let now_ns = clock::monotonic_ns();
@@ -161,7 +161,7 @@ fn draw_all(
         let took_ns = drawn_ns - begun_ns;
         schedule.drew(took_ns);
         let times = schedule.times(frame);
-        let drawn = truth.map(|truth| Drawn { frame, luma, truth, times, skipped, took_ns });
+        let drawn = truth.map(|truth| DrawnFrame { luma, truth, times, skipped, took_ns });
         let is_over = drawn.is_err();
         if tell.send(drawn).is_err() || is_over {
             break;
@@ -184,13 +184,13 @@ mod tests {
     }
 
     /// The next frame, or how many were left out at the end.
-    fn next(ahead: &mut Ahead) -> Result<Drawn, u64> {
+    fn next(ahead: &mut AheadDrawer) -> Result<DrawnFrame, u64> {
         let until = Instant::now() + Duration::from_secs(60);
         loop {
             match ahead.take().expect("frames can be drawn") {
-                Next::Frame(drawn) => return Ok(*drawn),
-                Next::Over { skipped } => return Err(skipped),
-                Next::NotYet => assert!(Instant::now() < until, "it is never drawn"),
+                Delivery::Frame(drawn) => return Ok(*drawn),
+                Delivery::Over { skipped } => return Err(skipped),
+                Delivery::NotYet => assert!(Instant::now() < until, "it is never drawn"),
             }
         }
     }
@@ -198,7 +198,7 @@ mod tests {
     #[test]
     fn frames_are_drawn_in_order_and_as_they_are_without_the_thread() {
         let rate = 20.0;
-        let mut ahead = Ahead::start(world(rate), 5).unwrap();
+        let mut ahead = AheadDrawer::start(world(rate), 5).unwrap();
         let mut again = world(rate);
         let (mut drawn_or_left_out, mut luma) = (0, vec![0; 256 * 128]);
         let at_the_end = loop {
@@ -206,13 +206,13 @@ mod tests {
                 Ok(drawn) => drawn,
                 Err(at_the_end) => break at_the_end,
             };
-            // On a machine that is very busy some are left out, and said to be.
-            assert_eq!(drawn.frame, drawn_or_left_out + drawn.skipped);
-            let truth = again.render(drawn.frame, &mut luma, 256).unwrap();
-            assert!(drawn.luma == luma && drawn.truth == truth, "frame {}", drawn.frame);
+            // On a machine that is very busy some are left out, and counted.
+            assert_eq!(drawn.truth.frame, drawn_or_left_out + drawn.skipped);
+            let truth = again.render(drawn.truth.frame, &mut luma, 256).unwrap();
+            assert!(drawn.luma == luma && drawn.truth == truth, "frame {}", drawn.truth.frame);
             let period_ns = drawn.times.next_ns - drawn.times.handover_ns;
             assert!((period_ns - 50_000_000).abs() <= 1, "{period_ns} ns");
-            drawn_or_left_out = drawn.frame + 1;
+            drawn_or_left_out = drawn.truth.frame + 1;
             ahead.reuse(drawn.luma);
         };
         assert_eq!(drawn_or_left_out + at_the_end, 6);
@@ -220,20 +220,20 @@ mod tests {
 
     #[test]
     fn frames_left_out_at_the_end_are_counted() {
-        let mut ahead = Ahead::start(world(100.0), 9).unwrap();
-        let held: Vec<Drawn> = (0..PICTURES).filter_map(|_| next(&mut ahead).ok()).collect();
+        let mut ahead = AheadDrawer::start(world(100.0), 9).unwrap();
+        let held: Vec<DrawnFrame> = (0..PICTURES).filter_map(|_| next(&mut ahead).ok()).collect();
         std::thread::sleep(Duration::from_millis(200));
-        let last = held.last().unwrap().frame;
+        let last = held.last().unwrap().truth.frame;
         held.into_iter().for_each(|drawn| ahead.reuse(drawn.luma));
-        assert_eq!(next(&mut ahead).map(|drawn| drawn.frame), Err(9 - last));
+        assert_eq!(next(&mut ahead).map(|drawn| drawn.truth.frame), Err(9 - last));
     }
 
     #[test]
     fn no_more_are_drawn_than_there_are_pictures() {
-        let mut ahead = Ahead::start(world(100.0), u64::MAX).unwrap();
-        let held: Vec<Drawn> = (0..PICTURES).filter_map(|_| next(&mut ahead).ok()).collect();
+        let mut ahead = AheadDrawer::start(world(100.0), u64::MAX).unwrap();
+        let held: Vec<DrawnFrame> = (0..PICTURES).filter_map(|_| next(&mut ahead).ok()).collect();
         assert_eq!(held.len(), PICTURES);
-        assert!(matches!(ahead.take(), Ok(Next::NotYet)), "there is nothing to draw in");
+        assert!(matches!(ahead.take(), Ok(Delivery::NotYet)), "there is nothing to draw in");
         held.into_iter().for_each(|drawn| ahead.reuse(drawn.luma));
         assert!(next(&mut ahead).unwrap().skipped > 0, "their times have passed");
     }

@@ -16,7 +16,7 @@ const WIDEST_SIGMA: f64 = 12.0;
 
 /// A panorama as the sensor encodes it.
 #[derive(Debug)]
-pub struct Backdrop {
+pub(crate) struct Backdrop {
     width: usize,
     levels: Vec<u8>,
     sigmas: Vec<u8>,
@@ -24,7 +24,7 @@ pub struct Backdrop {
 
 impl Backdrop {
     /// Paints the hall, blurred by the lens and by the observer's steady yaw, in linear light.
-    pub fn new(parameters: &WorldParameters, grid: &SphereGrid, sensor: &Sensor) -> Self {
+    pub(crate) fn new(parameters: &WorldParameters, grid: &SphereGrid, sensor: &Sensor) -> Self {
         let light = painted(parameters, grid);
         let width = grid.width;
         let encoded = |encode: &(dyn Fn(f32) -> u8 + Sync)| {
@@ -42,9 +42,9 @@ impl Backdrop {
         }
     }
 
-    /// Levels and sigmas of a row as an observer turned left by `shift` columns sees them: two runs,
-    /// of the first `shift` columns and of the others.
-    pub fn row(&self, row: usize, shift: usize) -> [(&[u8], &[u8]); 2] {
+    /// Levels and sigmas of a row as an observer turned left by `shift` columns sees them: two
+    /// runs, of the first `shift` columns and of the others.
+    pub(crate) fn row(&self, row: usize, shift: usize) -> [(&[u8], &[u8]); 2] {
         let whole = row * self.width..(row + 1) * self.width;
         let (levels, sigmas) = (&self.levels[whole.clone()], &self.sigmas[whole]);
         let cut = self.width - shift;
@@ -54,14 +54,14 @@ impl Backdrop {
 
 /// The hall in linear light on this grid, blurred by the lens, `lens_blur_px` of the grid's own
 /// pixels, and by the observer's steady yaw.
-pub fn painted(parameters: &WorldParameters, grid: &SphereGrid) -> Vec<f32> {
+pub(crate) fn painted(parameters: &WorldParameters, grid: &SphereGrid) -> Vec<f32> {
     let width = grid.width as f64;
     let swept = parameters.observer_yaw_rate().abs() * parameters.exposure_s * (width / TAU);
     painted_and_swept(parameters, grid, swept)
 }
 
-/// The same for an observer that does not turn.
-pub fn painted_still(parameters: &WorldParameters, grid: &SphereGrid) -> Vec<f32> {
+/// The backdrop of an observer that does not turn.
+pub(crate) fn painted_still(parameters: &WorldParameters, grid: &SphereGrid) -> Vec<f32> {
     painted_and_swept(parameters, grid, 0.0)
 }
 
@@ -111,8 +111,8 @@ fn pixel_light(hall: &Hall, grid: &SphereGrid, column: usize, row: usize) -> f32
     (ray(quarter) + ray(-quarter)) / 2.0
 }
 
-/// Calls `fill` for every row, on all processors. Each takes the next row when it is done with one, because
-/// some rows cost much more than others.
+/// Calls `fill` for every row, on all processors. Each takes the next row when it is done with one,
+/// because some rows cost much more than others.
 fn for_rows<T: Send>(rows: &mut [T], width: usize, fill: impl Fn(usize, &mut [T]) + Sync) {
     let threads = std::thread::available_parallelism().map_or(1, NonZero::get);
     let rows = Mutex::new(rows.chunks_mut(width).enumerate());

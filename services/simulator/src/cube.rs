@@ -1,8 +1,8 @@
 //! The panorama behind the bodies for an observer that leans and turns unevenly.
 //!
-//! It is painted once, on the six faces of a cube, which have no poles. Each frame looks it up along the
-//! way that its pixels take while the shutter is open, in linear light: so the backdrop is blurred as the
-//! camera turned, and each row by when it was exposed.
+//! It is painted once, on the six faces of a cube, which have no poles. Each frame looks it up
+//! along the way that its pixels take while the shutter is open, in linear light: so the backdrop
+//! is blurred as the camera turned, and each row by when it was exposed.
 
 use std::f64::consts::TAU;
 use std::num::NonZero;
@@ -29,7 +29,7 @@ const BITS: u32 = 12; // a face of 16,384 texels needs 14 more
 
 /// The panorama on a cube.
 #[derive(Debug)]
-pub struct CubeBackdrop {
+pub(crate) struct CubeBackdrop {
     /// Texels along the side of a face.
     side: usize,
     /// Faces +x, -x, +y, -y, +z, -z, each with one more row and column than it has texels.
@@ -50,7 +50,7 @@ struct Place {
 
 impl CubeBackdrop {
     /// Paints the hall as finely as the camera's image shows it.
-    pub fn new(parameters: &WorldParameters, sensor: &Sensor) -> Self {
+    pub(crate) fn new(parameters: &WorldParameters, sensor: &Sensor) -> Self {
         let pixels_per_radian = parameters.camera.pixels_per_radian();
         // The middle of a face is its coarsest place.
         let side = ((2.0 * pixels_per_radian).ceil() as usize).max(8);
@@ -81,7 +81,13 @@ impl CubeBackdrop {
     }
 
     /// Levels and sigmas of the whole sphere image, row by row, on all processors.
-    pub fn fill(&self, grid: &SphereGrid, camera: &Attitude, levels: &mut [u8], sigmas: &mut [u8]) {
+    pub(crate) fn fill(
+        &self,
+        grid: &SphereGrid,
+        camera: &Attitude,
+        levels: &mut [u8],
+        sigmas: &mut [u8],
+    ) {
         let bands = grid.height.div_ceil(BLOCK);
         let threads = std::thread::available_parallelism().map_or(1, NonZero::get);
         let share = bands.div_ceil(threads);
@@ -139,7 +145,8 @@ impl CubeBackdrop {
         }
     }
 
-    /// What the corners of the blocks on a row see when the shutter opens there, and when it closes.
+    /// What the corners of the blocks on a row see when the shutter opens there, and when it
+    /// closes.
     fn nodes(&self, grid: &SphereGrid, camera: &Attitude, row: usize) -> Vec<[Place; 2]> {
         let begin_end = self.begin_end(camera, row as f64 / grid.height as f64);
         let [begin, end] = begin_end.map(|turn| turn.to_rotation_matrix().into_inner());
@@ -161,7 +168,7 @@ impl CubeBackdrop {
     }
 
     /// Level and sigma of what one ray sees, in a row at this share of the image's height.
-    pub fn of_ray(&self, camera: &Attitude, ray: &Vector3<f64>, height: f64) -> [u8; 2] {
+    pub(crate) fn of_ray(&self, camera: &Attitude, ray: &Vector3<f64>, height: f64) -> [u8; 2] {
         let light = self.exactly(&self.begin_end(camera, height), ray, self.looks(camera));
         self.encoded[usize::from(light)]
     }
@@ -194,8 +201,8 @@ impl CubeBackdrop {
         (sum / looks as u32) as u16
     }
 
-    /// Mean light along the ways of a block's row on one face. `corners`: above left, above right, below
-    /// left, below right, each when the shutter opens and when it closes.
+    /// Mean light along the ways of a block's row on one face. `corners`: above left, above right,
+    /// below left, below right, each when the shutter opens and when it closes.
     #[inline]
     fn along(&self, face: u8, corners: &[[Place; 2]; 4], row: usize, looks: usize) -> [u16; BLOCK] {
         let down = row as f32 / BLOCK as f32;

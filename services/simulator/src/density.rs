@@ -6,7 +6,7 @@ use crate::moment::Placement;
 
 /// Pixels for small changes of direction, round one direction.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Density {
+pub(crate) enum Density {
     /// Alike whichever way the direction changes: pixels for each radian.
     Even(f64),
     /// Columns and rows for a small change of a unit vector in the camera frame.
@@ -17,7 +17,7 @@ pub enum Density {
 /// lies (x, y) radians off the middle lies (x `along` + y `shear`, y `across`) off it in an image
 /// that is turned so that the first axis is its row.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Stretch {
+pub(crate) struct Stretch {
     /// Pixels for each radian along the first axis.
     pub along: f64,
     /// Pixels along the row for each radian along the second axis.
@@ -28,7 +28,7 @@ pub struct Stretch {
 
 impl Density {
     /// The stretch of two perpendicular unit vectors that are tangents where it was measured.
-    pub fn stretch(&self, axes: [Vector3<f64>; 2]) -> Stretch {
+    pub(crate) fn stretch(&self, axes: [Vector3<f64>; 2]) -> Stretch {
         match self {
             &Self::Even(focal) => Stretch { along: focal, shear: 0.0, across: focal },
             Self::Local(pixels) => {
@@ -46,7 +46,7 @@ impl Density {
 
     /// The density for changes round `direction`, if it is alike to what was measured round
     /// `measured` once that is turned there.
-    pub fn moved(&self, direction: &Vector3<f64>, measured: &Vector3<f64>) -> Self {
+    pub(crate) fn moved(&self, direction: &Vector3<f64>, measured: &Vector3<f64>) -> Self {
         match self {
             Self::Even(focal) => Self::Even(*focal),
             Self::Local(pixels) => {
@@ -57,7 +57,7 @@ impl Density {
     }
 
     /// Length of a body's motion while the shutter is open, pixels.
-    pub fn motion_px(&self, placement: &Placement, exposure_s: f64) -> f64 {
+    pub(crate) fn motion_px(&self, placement: &Placement, exposure_s: f64) -> f64 {
         match self {
             Self::Even(focal) => placement.angular_speed() * exposure_s * focal,
             Self::Local(pixels) => {
@@ -70,7 +70,7 @@ impl Density {
     }
 
     /// Pixels for each radian, as the root of the pixels for each steradian.
-    pub fn pixels_per_radian(&self) -> f64 {
+    pub(crate) fn pixels_per_radian(&self) -> f64 {
         match self {
             Self::Even(focal) => *focal,
             Self::Local(pixels) => {
@@ -82,8 +82,8 @@ impl Density {
 }
 
 impl Stretch {
-    /// The same, `scale` times as fine.
-    pub fn scaled(&self, scale: f64) -> Self {
+    /// A density that is `scale` times as fine.
+    pub(crate) fn scaled(&self, scale: f64) -> Self {
         Self { along: self.along * scale, shear: self.shear * scale, across: self.across * scale }
     }
 }

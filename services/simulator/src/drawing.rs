@@ -26,7 +26,7 @@ const FAINT: f32 = 1e-4;
 
 /// What a drawing needs to know of the camera.
 #[derive(Debug, Clone, Copy)]
-pub struct Sharpness {
+pub(crate) struct Sharpness {
     /// Samples of the drawing for each pixel of the image, along a line.
     pub samples_per_px: f64,
     /// Standard deviation of the point spread, samples.
@@ -39,7 +39,7 @@ pub struct Sharpness {
 
 /// What lights a drone, as an eye sees it.
 #[derive(Debug, Clone, Copy)]
-pub struct Lights {
+pub(crate) struct Lights {
     /// The eye's place in the world, and the turn of the camera's axes.
     pub world_from_eye: Isometry3<f64>,
     /// A low sun; `None`: the hall's lamps alone.
@@ -48,7 +48,7 @@ pub struct Lights {
 
 /// The drawing of one drone in one frame. Its buffers are kept from frame to frame.
 #[derive(Debug, Default)]
-pub struct Drawing {
+pub(crate) struct Drawing {
     accumulator: Accumulator,
     width: usize,
     height: usize,
@@ -56,7 +56,7 @@ pub struct Drawing {
     samples: Vec<f32>,
     /// Blurred along the rows.
     half_blurred: Vec<f32>,
-    /// Columns that may hold something, for each row: the rest is empty, and stays so.
+    /// Columns in which something may be drawn, for each row: the rest is empty, and stays so.
     extents: Vec<Range<usize>>,
     /// Rows: where a ray in the camera frame meets the plane, in samples, before dividing.
     samples_from_camera: Matrix3<f32>,
@@ -64,7 +64,7 @@ pub struct Drawing {
     centre: Vector3<f64>,
     longitude: f64,
     latitude: f64,
-    /// Radius of the circle that holds the drawing, radians.
+    /// Radius of the circle round the drawing, radians.
     radius: f64,
 }
 
@@ -81,7 +81,7 @@ impl Drawing {
     /// Draws `drone` where the eye sees it, in an image of `pixels` there.
     ///
     /// The drone must be at least 1.2 of its radius away, so that all of it is before the plane.
-    pub fn draw(
+    pub(crate) fn draw(
         &mut self,
         drone: &Drone,
         placement: &Placement,
@@ -221,18 +221,18 @@ impl Drawing {
     }
 
     /// Rows of the sphere image that it may touch.
-    pub fn rows(&self, grid: &SphereGrid) -> Range<usize> {
+    pub(crate) fn rows(&self, grid: &SphereGrid) -> Range<usize> {
         grid.rows_of_circle(self.latitude, self.radius)
     }
 
     /// Whether it may touch anything in the circle of `radius` radians round `axis`.
-    pub fn touches(&self, axis: &Vector3<f64>, radius: f64) -> bool {
+    pub(crate) fn touches(&self, axis: &Vector3<f64>, radius: f64) -> bool {
         let apart = self.radius + radius;
         apart >= PI || axis.dot(&self.centre) >= apart.cos()
     }
 
     /// Lays the drawing over pixels that look along `rays`, and over their noise.
-    pub fn draw_rays(
+    pub(crate) fn draw_rays(
         &self,
         [rays_x, rays_y, rays_z]: &RayRow,
         sensor: &Sensor,
@@ -255,7 +255,7 @@ impl Drawing {
     }
 
     /// Lays the drawing over a row of levels and their noise, within `columns`.
-    pub fn draw_row(
+    pub(crate) fn draw_row(
         &self,
         row: usize,
         columns: &[Range<usize>],
@@ -323,7 +323,7 @@ impl Drawing {
     }
 }
 
-/// The smallest range that holds both; an empty one adds nothing.
+/// The smallest range that covers both; an empty one adds nothing.
 fn joined(one: &Range<usize>, other: &Range<usize>) -> Range<usize> {
     match (one.is_empty(), other.is_empty()) {
         (true, _) => other.clone(),

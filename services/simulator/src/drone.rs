@@ -19,7 +19,7 @@ const PLATE_M: f64 = 0.003;
 
 /// A polygon that changes the reflectance of what it lies on.
 #[derive(Debug, Clone)]
-pub struct Patch {
+pub(crate) struct Patch {
     /// Its corners, in the markers' frame, metres.
     pub corners: Vec<Point3<f64>>,
     /// Reflectance, relative to what is beneath.
@@ -28,7 +28,7 @@ pub struct Patch {
 
 /// A flat side with everything printed on it.
 #[derive(Debug, Clone)]
-pub struct PaintedFace {
+pub(crate) struct PaintedFace {
     /// Where it is.
     pub face: Face,
     /// Its own reflectance.
@@ -39,7 +39,7 @@ pub struct PaintedFace {
 
 /// A convex part of a drone.
 #[derive(Debug, Clone)]
-pub struct Part {
+pub(crate) struct Part {
     /// Its shape.
     pub solid: Solid,
     /// Its sides.
@@ -50,14 +50,14 @@ pub struct Part {
 
 /// A marker body on its drone, in the markers' frame.
 #[derive(Debug, Clone)]
-pub struct Drone {
+pub(crate) struct Drone {
     /// The neighbour's name.
     pub name: String,
     /// Its markers.
     pub markers: Vec<Marker>,
     /// The marker body first, then the airframe.
     pub parts: Vec<Part>,
-    /// Radius round the origin that holds all of it, metres.
+    /// Radius of the sphere round the origin with all of it inside, metres.
     pub radius: f64,
 }
 
@@ -67,7 +67,11 @@ impl Drone {
     ///
     /// # Errors
     /// A marker that the dictionary does not have; a body that is not convex.
-    pub fn new(body: &Body, dictionary: &Dictionary, airframe: bool) -> Result<Self, WorldError> {
+    pub(crate) fn new(
+        body: &Body,
+        dictionary: &Dictionary,
+        airframe: bool,
+    ) -> Result<Self, WorldError> {
         let solid = body_solid(body)?;
         let mut faces: Vec<PaintedFace> = solid
             .faces
@@ -97,12 +101,12 @@ impl Drone {
     }
 
     /// Whether something opaque of this drone hides `point` from `eye`, both in its markers' frame.
-    pub fn hides(&self, eye: &Point3<f64>, point: &Point3<f64>) -> bool {
+    pub(crate) fn hides(&self, eye: &Point3<f64>, point: &Point3<f64>) -> bool {
         self.parts.iter().any(|part| part.opacity >= 1.0 && part.solid.hides(eye, point))
     }
 
     /// Its parts as seen from `eye`, in the markers' frame, farthest first.
-    pub fn back_to_front(&self, eye: &Point3<f64>) -> Vec<&Part> {
+    pub(crate) fn back_to_front(&self, eye: &Point3<f64>) -> Vec<&Part> {
         let mut left: Vec<&Part> = self.parts.iter().collect();
         let mut order = Vec::with_capacity(left.len());
         while !left.is_empty() {

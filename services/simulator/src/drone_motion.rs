@@ -1,5 +1,5 @@
-//! How the observer moves, with its camera: what its picture shows and its inertial sensor measures. In a swarm
-//! the others move in the same way.
+//! How the observer moves, with its camera: what its picture shows and its inertial sensor
+//! measures. In a swarm the others move in the same way.
 
 use std::f64::consts::TAU;
 
@@ -84,7 +84,8 @@ impl DroneMotion {
         }
     }
 
-    /// What an accelerometer in the camera measures, along its axes, m/s^2: acceleration less gravity.
+    /// What an accelerometer in the camera measures, along its axes, m/s^2: acceleration less
+    /// gravity.
     pub fn specific_force(&self, time_s: f64) -> Vector3<f64> {
         let at = |time_s: f64| self.world_from_camera(time_s);
         let position = |time_s: f64| at(time_s).translation.vector;
@@ -130,8 +131,8 @@ mod tests {
             let half = motion.attitude(time_s + 0.005).rate_in_camera;
             let turned = now.world_from_camera.inverse() * soon.world_from_camera;
             assert!((turned.scaled_axis() / 0.01 - half).norm() < 2e-3, "{time_s}");
-            // Forty percent of the lean accelerates: the rest is wind, which the sensor feels as thrust less
-            // drag. So the force along the body is near gravity's.
+            // Forty percent of the lean accelerates: the rest is wind, which the sensor feels as
+            // thrust less drag. So the force along the body is near gravity's.
             let force = motion.specific_force(time_s);
             assert!((9.0..11.0).contains(&force.norm()), "{time_s}: {force}");
         }

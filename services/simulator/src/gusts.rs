@@ -1,8 +1,8 @@
 //! How a drone leans and sways in gusts.
 //!
-//! A multirotor holds its place by leaning against the wind, and never quite succeeds: its thrust points
-//! along gravity, wind and its own acceleration together. So lean and sway belong to each other: a share
-//! of the lean is acceleration, the rest holds against the wind.
+//! A multirotor keeps its place by leaning against the wind, and never quite succeeds: its thrust
+//! points along gravity, wind and its own acceleration together. So lean and sway belong to each
+//! other: a share of the lean is acceleration, the rest works against the wind.
 
 use std::f64::consts::TAU;
 
@@ -13,7 +13,7 @@ use rand::{RngExt, SeedableRng};
 use crate::scatter::mix;
 
 /// Gravity, m/s^2.
-pub const GRAVITY: f64 = 9.81;
+pub(crate) const GRAVITY: f64 = 9.81;
 /// Share of the lean that accelerates the drone.
 const ACCELERATING: f64 = 0.4;
 /// Slowest and fastest swing, Hz: what a small multirotor's position control leaves over.
@@ -59,7 +59,7 @@ impl Swings {
 
 /// The gusts on one drone.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Gusts {
+pub(crate) struct Gusts {
     /// Lean along the world's x and y: horizontal thrust over vertical.
     lean: [Swings; 2],
     /// Rate of the yaw, rad/s.
@@ -67,9 +67,9 @@ pub struct Gusts {
 }
 
 impl Gusts {
-    /// Gusts that make a drone lean by `tilt_rad` at most, and yaw by up to `yaw_rad_s` more or less
-    /// than it would. `drone` tells those of one world apart.
-    pub fn draw(seed: u64, drone: u64, tilt_rad: f64, yaw_rad_s: f64) -> Self {
+    /// Gusts that make a drone lean by `tilt_rad` at most, and yaw by up to `yaw_rad_s` more or
+    /// less than it would. `drone` tells those of one world apart.
+    pub(crate) fn draw(seed: u64, drone: u64, tilt_rad: f64, yaw_rad_s: f64) -> Self {
         let mut random = StdRng::seed_from_u64(mix(seed ^ mix(drone ^ 0x6775_7374)));
         // Both axes at their ends at once make the whole.
         let lean = tilt_rad.tan() / 2f64.sqrt();
@@ -80,12 +80,13 @@ impl Gusts {
     }
 
     /// How far gusts that make it lean by `tilt_rad` bring a drone from its place at most, metres.
-    pub fn reach_m(tilt_rad: f64) -> f64 {
+    pub(crate) fn reach_m(tilt_rad: f64) -> f64 {
         ACCELERATING * GRAVITY * tilt_rad.tan() / (TAU * SWINGS_HZ[0]).powi(2)
     }
 
-    /// Where the gusts bring a drone that would be level at the origin: offset and lean in the world.
-    pub fn sway(&self, time_s: f64) -> Isometry3<f64> {
+    /// Where the gusts bring a drone that would be level at the origin: offset and lean in the
+    /// world.
+    pub(crate) fn sway(&self, time_s: f64) -> Isometry3<f64> {
         let [x, y] = &self.lean;
         let thrust = Unit::new_normalize(Vector3::new(x.value(time_s), y.value(time_s), 1.0));
         let lean = UnitQuaternion::rotation_between_axis(&Vector3::z_axis(), &thrust);
@@ -98,7 +99,7 @@ impl Gusts {
     }
 
     /// Yaw that the gusts add since time 0, radians.
-    pub fn yaw(&self, time_s: f64) -> f64 {
+    pub(crate) fn yaw(&self, time_s: f64) -> f64 {
         self.yaw_rate.integrated(time_s)
     }
 }

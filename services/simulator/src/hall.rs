@@ -32,7 +32,7 @@ struct Poster {
 
 /// The hall, a function of direction.
 #[derive(Debug)]
-pub struct Hall {
+pub(crate) struct Hall {
     seed: u64,
     crates: Vec<Crate>,
     /// Numbers of the boxes that may be met in each of [`SECTORS`].
@@ -45,7 +45,7 @@ const SECTORS: usize = 256;
 
 impl Hall {
     /// The hall of this seed.
-    pub fn new(seed: u64) -> Self {
+    pub(crate) fn new(seed: u64) -> Self {
         let mut random = StdRng::seed_from_u64(mix(seed ^ 0x6861_6c6c));
         let crates: Vec<Crate> = (0..22).map(|_| draw_crate(&mut random)).collect();
         let may_be_met = |sector: usize| {
@@ -70,7 +70,7 @@ impl Hall {
 
     /// Linear light that comes from `ray` (a unit vector; x along the hall, z up), as a share of
     /// full scale. Lamps and windows are brighter than 1.
-    pub fn light(&self, ray: [f32; 3]) -> f32 {
+    pub(crate) fn light(&self, ray: [f32; 3]) -> f32 {
         let to_plane = |from: f32, along: f32| from / if along == 0.0 { 1e-9 } else { along };
         let [x, y, z] = ray;
         let to_end = to_plane(HALF_LENGTH.copysign(x), x);
@@ -227,27 +227,29 @@ fn draw_crate(random: &mut StdRng) -> Crate {
 }
 
 impl Crate {
-    /// Whether a part of it lies in a sector. The sectors of its corners bound it, because it is convex, and
-    /// less than half a turn wide.
+    /// Whether a part of it lies in a sector. The sectors of its corners bound it, because it is
+    /// convex, and less than half a turn wide.
     fn lies_in(&self, sector: usize) -> bool {
         let corner = |k: usize| {
             let [x, y] = [[self.low[0], self.high[0]][k & 1], [self.low[1], self.high[1]][k >> 1]];
             sector_of(x, y)
         };
         let first = corner(0);
-        // Counted from a corner, as a signed number of sectors, because the first may lie beyond the last.
+        // Counted from a corner, as a signed number of sectors, because the first may lie beyond
+        // the last.
         let from_first = |sector: usize| {
             let ahead = (sector + SECTORS - first) % SECTORS;
             if ahead < SECTORS / 2 { ahead as i32 } else { ahead as i32 - SECTORS as i32 }
         };
         let corners = [0, 1, 2, 3].map(|k| from_first(corner(k)));
         let reach = corners.iter().fold([0, 0], |[low, high], &at| [low.min(at), high.max(at)]);
-        // One more on each side covers rounding.
+        // A further one on each side covers rounding.
         (reach[0] - 1..=reach[1] + 1).contains(&from_first(sector))
     }
 }
 
-/// The sector of a direction from above. Sectors are not alike wide: no angle is needed to find one.
+/// The sector of a direction from above. Sectors are not alike wide: no angle is needed to find
+/// one.
 fn sector_of(x: f32, y: f32) -> usize {
     // Rises from 0 to 4 over a turn: the way along a square round the origin.
     let share = y / (x.abs() + y.abs()).max(f32::MIN_POSITIVE);

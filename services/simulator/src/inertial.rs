@@ -1,4 +1,5 @@
-//! The observer's inertial sensor: samples with bias and noise, in a mounting and on a clock of its own.
+//! The observer's inertial sensor: samples with bias and noise, in a mounting and on a clock of its
+//! own.
 
 use flockeye_config::SimulatedInertial;
 use flockeye_contract::ImuSample;
@@ -11,16 +12,16 @@ use rand_distr::StandardNormal;
 use crate::drone_motion::DroneMotion;
 use crate::scatter::mix;
 
-/// It has begun so long before the first frame, seconds.
+/// Time before the first frame at which the sensor has begun, seconds.
 const BEFORE_S: f64 = 0.5;
 
-/// Noise of the specific force beside that of the rate: m/s^2 for each degree a second. Both of usual sensors
-/// are of this order (0.1 degrees/s and 0.03 m/s^2 at 200 Hz).
+/// Noise of the specific force beside that of the rate: m/s^2 for each degree a second. Both of
+/// usual sensors are of this order (0.1 degrees/s and 0.03 m/s^2 at 200 Hz).
 const FORCE_NOISE: f64 = 0.3;
 
 /// The sensor, between its samples.
 #[derive(Debug, Clone)]
-pub struct InertialSensor {
+pub(crate) struct InertialSensor {
     motion: DroneMotion,
     settings: SimulatedInertial,
     sensor_from_camera: UnitQuaternion<f64>,
@@ -33,7 +34,7 @@ pub struct InertialSensor {
 
 impl InertialSensor {
     /// A sensor on a camera that moves so; `seed` chooses the signs of its bias, and its noise.
-    pub fn new(motion: DroneMotion, settings: &SimulatedInertial, seed: u64) -> Self {
+    pub(crate) fn new(motion: DroneMotion, settings: &SimulatedInertial, seed: u64) -> Self {
         let signs = mix(seed ^ 0x696d_7562);
         let sign = |k: usize| if signs >> k & 1 == 1 { 1.0 } else { -1.0 };
         Self {
@@ -46,15 +47,15 @@ impl InertialSensor {
         }
     }
 
-    /// Leaves out what is taken long before a time, seconds since the middle of frame 0's exposure: who joins a
-    /// flight has not seen it.
-    pub fn join(&mut self, time_s: f64) {
+    /// Leaves out what is taken long before a time, seconds since the middle of frame 0's exposure:
+    /// who joins a flight has not seen it.
+    pub(crate) fn join(&mut self, time_s: f64) {
         self.next = self.next.max((time_s * self.settings.rate_hz).max(0.0) as u64);
     }
 
-    /// The samples that are taken from the last call until a time, seconds since the middle of frame 0's
-    /// exposure. `zero_ns` is that time on the frames' clock.
-    pub fn until(&mut self, time_s: f64, zero_ns: i64) -> Vec<ImuSample> {
+    /// The samples that are taken from the last call until a time, seconds since the middle of
+    /// frame 0's exposure. `zero_ns` is that time on the frames' clock.
+    pub(crate) fn until(&mut self, time_s: f64, zero_ns: i64) -> Vec<ImuSample> {
         let mut samples = Vec::new();
         loop {
             let taken_s = self.next as f64 / self.settings.rate_hz - BEFORE_S;

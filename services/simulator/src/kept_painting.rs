@@ -13,12 +13,12 @@ const PAINTER: u64 = 1;
 
 /// Where one painting is kept.
 #[derive(Debug)]
-pub struct KeptPainting(PathBuf);
+pub(crate) struct KeptPainting(PathBuf);
 
 impl KeptPainting {
-    /// The painting of this world on this grid, with so many columns swept in an exposure. `None` where
-    /// nothing is kept.
-    pub fn of(parameters: &WorldParameters, grid: &SphereGrid, swept: f64) -> Option<Self> {
+    /// The painting of this world on this grid, with so many columns swept in an exposure. `None`
+    /// where nothing is kept.
+    pub(crate) fn of(parameters: &WorldParameters, grid: &SphereGrid, swept: f64) -> Option<Self> {
         let folder = parameters.paint_folder.as_deref()?;
         let (seed, width, height) = (parameters.seed, grid.width, grid.height);
         let [blur, swept] = [parameters.lens_blur_px, swept].map(f64::to_bits);
@@ -27,7 +27,7 @@ impl KeptPainting {
     }
 
     /// What was kept, if that is a painting of `pixels` pixels.
-    pub fn read(&self, pixels: usize) -> Option<Vec<f32>> {
+    pub(crate) fn read(&self, pixels: usize) -> Option<Vec<f32>> {
         let bytes = fs::read(&self.0).ok()?;
         let (chunks, rest) = bytes.as_chunks::<4>();
         let is_whole = chunks.len() == pixels && rest.is_empty();
@@ -35,7 +35,7 @@ impl KeptPainting {
     }
 
     /// Keeps a painting. Where that cannot be, the next process paints it again.
-    pub fn write(&self, light: &[f32]) {
+    pub(crate) fn write(&self, light: &[f32]) {
         let bytes: Vec<u8> = light.iter().flat_map(|light| light.to_le_bytes()).collect();
         let made = self.0.parent().map_or(Ok(()), fs::create_dir_all);
         if let Err(error) = made.and_then(|()| write_whole(&self.0, &bytes)) {

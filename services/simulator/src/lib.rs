@@ -23,72 +23,76 @@
 //!
 //! | module | what it does |
 //! | --- | --- |
-//! | [`parameters`] | what a world can be told |
-//! | [`world`] | makes it all, once, and is asked for frames |
-//! | [`error`] | what keeps a world or a frame from being made |
-//! | [`trajectory`] | where the bodies are at a time |
-//! | [`gusts`] | how gusts make the observer and the bodies lean and sway |
-//! | [`drone_motion`] | how the observer and its camera move, and what an inertial sensor in it feels |
-//! | [`wander`] | where the drones of a swarm fly |
-//! | [`inertial`] | that sensor, with bias, noise, mounting and a clock of its own |
-//! | [`moment`] | where everything is at an instant |
-//! | [`eyes`] | where each part of the image is taken from: the camera's middle, or its lenses' places |
+//! | `parameters` | what a world can be like |
+//! | `world` | makes it all, once, and is asked for frames |
+//! | `error` | what keeps a world or a frame from being made |
+//! | `trajectory` | where the bodies are at a time |
+//! | `gusts` | how gusts make the observer and the bodies lean and sway |
+//! | `drone_motion` | how the observer and its camera move, and what an inertial sensor in it feels |
+//! | `wander` | where the drones of a swarm fly |
+//! | `inertial` | that sensor, with bias, noise, mounting and a clock of its own |
+//! | `moment` | where everything is at an instant |
+//! | `eyes` | where each part of the image is taken from: the camera's middle, or its lenses' places |
 //! | `kept_painting` | the painted panorama, left to the next process |
-//! | [`hall`], [`backdrop`] | the panorama behind them: painted and blurred once, then turned |
-//! | [`cube`] | the same for an observer that leans and turns unevenly, blurred along the way in each frame |
-//! | [`drone`] | bodies and airframes as painted convex parts |
-//! | [`raster`], [`optics`], [`drawing`] | drawn with exact area coverage, blurred by lens and motion, for each eye |
-//! | [`sun`] | a low sun, and the shadows that it casts in stripes |
-//! | [`density`] | how many pixels the image has round a body |
-//! | [`sight`] | where an eye sees a body, and how finely |
-//! | [`own_airframe`] | the observer's own legs over everything |
-//! | [`scene`], [`picture`] | what a frame is made from, and the image that it is laid on |
-//! | [`sphere`], [`sphere_picture`] | laid on the sphere image, row by row |
-//! | [`tiles`], [`panorama`], [`tiled_picture`] | laid on any other image, tile by tile |
-//! | [`response`], [`sensor`] | the curve to code values, clipping, noise |
-//! | [`schedule`], [`ahead`] | in flight: which frame is drawn when, before its time |
-//! | [`settings`] | the world as the configuration asks for it |
-//! | [`messages`] | what the world draws, as messages |
-//! | [`stage`] | the ports around it |
+//! | `hall`, `backdrop` | the panorama behind them: painted and blurred once, then turned |
+//! | `cube` | the same for an observer that leans and turns unevenly, blurred along the way in each frame |
+//! | `drone` | bodies and airframes as painted convex parts |
+//! | `raster`, `optics`, `drawing` | drawn with exact area coverage, blurred by lens and motion, for each eye |
+//! | `sun` | a low sun, and the shadows that it casts in stripes |
+//! | `density` | how many pixels the image has round a body |
+//! | `sight` | where an eye sees a body, and how finely |
+//! | `own_airframe` | the observer's own legs over everything |
+//! | `scene`, `picture` | what a frame is made from, and the image that it is laid on |
+//! | `sphere`, `sphere_picture` | laid on the sphere image, row by row |
+//! | `tiles`, `panorama`, `tiled_picture` | laid on any other image, tile by tile |
+//! | `response`, `sensor` | the curve to code values, clipping, noise |
+//! | `schedule`, `ahead` | in flight: which frame is drawn when, before its time |
+//! | `settings` | the world as the configuration asks for it |
+//! | `messages` | what the world draws, as messages |
+//! | `core` | which frame is drawn or handed over next, and its messages |
+//! | `stage` | the ports around it |
 
-pub mod ahead;
-pub mod backdrop;
-pub mod cube;
-pub mod density;
-pub mod drawing;
-pub mod drone;
-pub mod drone_motion;
-pub mod error;
-pub mod eyes;
-pub mod gusts;
-pub mod hall;
-pub mod inertial;
+#![warn(unreachable_pub)]
+
+mod ahead;
+mod backdrop;
+mod core;
+mod cube;
+mod density;
+mod drawing;
+mod drone;
+mod drone_motion;
+mod error;
+mod eyes;
+mod gusts;
+mod hall;
+mod inertial;
 mod kept_painting;
-pub mod messages;
-pub mod moment;
-pub mod optics;
-pub mod own_airframe;
-pub mod panorama;
-pub mod parameters;
-pub mod picture;
-pub mod raster;
-pub mod response;
-pub mod scatter;
-pub mod scene;
-pub mod schedule;
-pub mod sensor;
+mod messages;
+mod moment;
+mod optics;
+mod own_airframe;
+mod panorama;
+mod parameters;
+mod picture;
+mod raster;
+mod response;
+mod scatter;
+mod scene;
+mod schedule;
+mod sensor;
 pub mod settings;
-pub mod sight;
-pub mod sphere;
-pub mod sphere_picture;
-pub mod stage;
-pub mod sun;
-pub mod tiled_picture;
-pub mod tiles;
-pub mod trajectory;
-pub mod truth;
-pub mod wander;
-pub mod world;
+mod sight;
+mod sphere;
+mod sphere_picture;
+mod stage;
+mod sun;
+mod tiled_picture;
+mod tiles;
+mod trajectory;
+mod truth;
+mod wander;
+mod world;
 
 pub use error::{RenderError, WorldError};
 pub use moment::{Attitude, Moment, Placement};

@@ -12,7 +12,7 @@ use crate::{FrameTruth, TargetTruth};
 
 /// Writes the messages of one flight.
 #[derive(Debug)]
-pub struct TruthWriter {
+pub(crate) struct TruthWriter {
     /// Width and height of a frame.
     size_px: (u32, u32),
     projection: Projection,
@@ -26,7 +26,7 @@ pub struct TruthWriter {
 
 impl TruthWriter {
     /// For these bodies, and generation `generation` of this stage.
-    pub fn new(resolved: &Resolved, flying: Option<&Bodies>, generation: u32) -> Self {
+    pub(crate) fn new(resolved: &Resolved, flying: Option<&Bodies>, generation: u32) -> Self {
         Self {
             size_px: (resolved.camera.width(), resolved.camera.height()),
             projection: projection_of(&resolved.camera),
@@ -39,12 +39,12 @@ impl TruthWriter {
     }
 
     /// Width and height of a frame, pixels.
-    pub fn size_px(&self) -> (u32, u32) {
+    pub(crate) fn size_px(&self) -> (u32, u32) {
         self.size_px
     }
 
     /// The stamp of a frame that is published at `published_ns`.
-    pub fn stamp(
+    pub(crate) fn stamp(
         &self,
         frame: u64,
         exposure_ns: i64,
@@ -62,7 +62,7 @@ impl TruthWriter {
     }
 
     /// The header of a frame.
-    pub fn frame(&self, stamp: FrameStamp, truth: &FrameTruth) -> FrameHeader {
+    pub(crate) fn frame(&self, stamp: FrameStamp, truth: &FrameTruth) -> FrameHeader {
         let (width, height) = self.size_px;
         FrameHeader {
             stamp,
@@ -80,7 +80,11 @@ impl TruthWriter {
     }
 
     /// A frame's truth.
-    pub fn truth(&self, stamp: FrameStamp, truth: &FrameTruth) -> (TruthHeader, Vec<BodyTruth>) {
+    pub(crate) fn truth(
+        &self,
+        stamp: FrameStamp,
+        truth: &FrameTruth,
+    ) -> (TruthHeader, Vec<BodyTruth>) {
         let targets = truth.bodies.iter().zip(&self.bodies);
         let bodies = targets.map(|(target, body)| self.body_truth(target, body)).collect();
         let header = TruthHeader {

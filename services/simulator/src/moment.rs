@@ -19,7 +19,7 @@ impl Placement {
         self.camera_from_markers.translation.vector
     }
 
-    /// The same as an eye sees it, from its own place and along the camera's axes.
+    /// The placement as an eye sees it, from its own place and along the camera's axes.
     pub fn seen_from(&self, eye: &Eye) -> Self {
         Self { camera_from_markers: eye.sees(&self.camera_from_markers), ..*self }
     }
@@ -55,7 +55,7 @@ impl Attitude {
         ahead.y.atan2(ahead.x)
     }
 
-    /// The same so many seconds later.
+    /// The placement this many seconds later.
     pub fn after(&self, time_s: f64) -> Self {
         let turned = UnitQuaternion::from_scaled_axis(self.rate_in_camera * time_s);
         Self { world_from_camera: self.world_from_camera * turned, ..*self }

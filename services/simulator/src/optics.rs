@@ -4,7 +4,7 @@
 /// 2, ... on either side. The weights of all sum to 1.
 ///
 /// A Gaussian of standard deviation `sigma`, drawn out evenly over a `length`; both in samples.
-pub fn blur_kernel(sigma: f64, length: f64) -> Vec<f32> {
+pub(crate) fn blur_kernel(sigma: f64, length: f64) -> Vec<f32> {
     let parts = (4.0 * length / sigma).ceil().max(1.0) as usize;
     let reach = (3.7 * sigma + length / 2.0).ceil() as usize;
     let weight = |distance: usize| -> f64 {
@@ -22,7 +22,7 @@ pub fn blur_kernel(sigma: f64, length: f64) -> Vec<f32> {
 
 /// Blurs along the row: `out[i]` from `padded[i + reach * step]` and its neighbours at multiples of
 /// `step`, `reach` on either side. `padded` is longer than `out` by `2 * reach * step`.
-pub fn blur_row(padded: &[f32], out: &mut [f32], kernel: &[f32], step: usize) {
+pub(crate) fn blur_row(padded: &[f32], out: &mut [f32], kernel: &[f32], step: usize) {
     let middle = (kernel.len() - 1) * step;
     let n = out.len();
     for (out, value) in out.iter_mut().zip(&padded[middle..][..n]) {
@@ -39,7 +39,7 @@ pub fn blur_row(padded: &[f32], out: &mut [f32], kernel: &[f32], step: usize) {
 
 /// Blurs across rows: `out` from the `columns` of row `at` of `rows` (each `width` long) and those
 /// above and below it, the first and last repeated beyond the ends.
-pub fn blur_rows(
+pub(crate) fn blur_rows(
     rows: &[f32],
     width: usize,
     at: usize,

@@ -29,14 +29,14 @@ struct RowCover {
 
 /// The observer's airframe in its own camera.
 #[derive(Debug)]
-pub struct OwnAirframe {
+pub(crate) struct OwnAirframe {
     first_row: usize,
     rows: Vec<RowCover>,
     level: u8,
 }
 
 /// How much of direction (longitude, latitude; radians) is covered, with edges `softness` wide.
-pub fn cover(longitude: f32, latitude: f32, softness: f32) -> f32 {
+pub(crate) fn cover(longitude: f32, latitude: f32, softness: f32) -> f32 {
     // Angle by which the direction lies outside of the nearest edge; negative inside.
     let deck = latitude - DECK_LATITUDE;
     let sector = TAU / LEGS;
@@ -48,7 +48,7 @@ pub fn cover(longitude: f32, latitude: f32, softness: f32) -> f32 {
 
 impl OwnAirframe {
     /// The airframe on this grid, with edges as soft as a lens of `lens_blur_px` makes them.
-    pub fn new(grid: &SphereGrid, lens_blur_px: f64, sensor: &Sensor) -> Self {
+    pub(crate) fn new(grid: &SphereGrid, lens_blur_px: f64, sensor: &Sensor) -> Self {
         let pixel = TAU / grid.width as f32;
         let softness = edge_softness(lens_blur_px, grid.width as f64);
         let latitude = |row: usize| FRAC_PI_2 - (row as f32 + 0.5) * pixel;
@@ -76,12 +76,18 @@ impl OwnAirframe {
     }
 
     /// Whether it covers any of `row`.
-    pub fn touches(&self, row: usize) -> bool {
+    pub(crate) fn touches(&self, row: usize) -> bool {
         row >= self.first_row
     }
 
     /// Draws it over a row of levels and their noise.
-    pub fn draw_row(&self, row: usize, sensor: &Sensor, levels: &mut [u8], sigmas: &mut [u8]) {
+    pub(crate) fn draw_row(
+        &self,
+        row: usize,
+        sensor: &Sensor,
+        levels: &mut [u8],
+        sigmas: &mut [u8],
+    ) {
         let Some(covered) = row.checked_sub(self.first_row).and_then(|k| self.rows.get(k)) else {
             return;
         };
@@ -96,19 +102,19 @@ impl OwnAirframe {
 }
 
 /// Lays the airframe over a pixel of which it covers a share.
-pub fn blend(cover: f32, sensor: &Sensor, level: &mut u8, sigma: &mut u8) {
+pub(crate) fn blend(cover: f32, sensor: &Sensor, level: &mut u8, sigma: &mut u8) {
     *level = sensor.level(sensor.light(*level) * (1.0 - cover) + LIGHT * cover);
     *sigma = sensor.sigma(*level);
 }
 
 /// Width of a soft edge, radians, in an image of so many pixels to a whole turn: a ramp as wide as
 /// four standard deviations looks like the blur.
-pub fn edge_softness(lens_blur_px: f64, pixels_per_turn: f64) -> f32 {
+pub(crate) fn edge_softness(lens_blur_px: f64, pixels_per_turn: f64) -> f32 {
     (4.0 * lens_blur_px) as f32 * TAU / pixels_per_turn as f32
 }
 
 /// Width of its soft edges where the image has `density`, radians.
-pub fn softness(parameters: &WorldParameters, density: &Density) -> f32 {
+pub(crate) fn softness(parameters: &WorldParameters, density: &Density) -> f32 {
     let pixels_per_turn = density.pixels_per_radian() * std::f64::consts::TAU;
     edge_softness(parameters.lens_blur_px, pixels_per_turn)
 }

@@ -22,7 +22,7 @@ type PlaceRow = [[u16; TILE]; 2];
 
 /// Where the pixels of a tile look in the panorama.
 #[derive(Debug)]
-pub struct Outlook {
+pub(crate) struct Outlook {
     /// Which of the panoramas is about as fine as the image here.
     panorama: usize,
     places: [PlaceRow; TILE],
@@ -30,7 +30,7 @@ pub struct Outlook {
 
 /// Panoramas of the hall, each twice as fine as the one before.
 #[derive(Debug)]
-pub struct Panoramas {
+pub(crate) struct Panoramas {
     sizes: Vec<Panorama>,
     /// Level and sigma of every root of light.
     encoded: Vec<[u8; 2]>,
@@ -46,7 +46,7 @@ struct Panorama {
 
 impl Panoramas {
     /// The panoramas that `bands` of tiles need, and where each tile looks.
-    pub fn new(
+    pub(crate) fn new(
         parameters: &WorldParameters,
         bands: &[Vec<Tile>],
         sensor: &Sensor,
@@ -76,7 +76,7 @@ impl Panoramas {
     }
 
     /// Writes levels and sigmas of a row of a tile, for an observer turned left by `yaw` radians.
-    pub fn fill(
+    pub(crate) fn fill(
         &self,
         tile: &Tile,
         outlook: &Outlook,

@@ -1,4 +1,4 @@
-//! What a synthetic world can be told.
+//! The parameters of a synthetic world.
 
 use std::path::PathBuf;
 
@@ -42,11 +42,11 @@ pub struct WorldParameters {
     pub frames_per_second: f64,
     /// How long each frame is exposed, seconds.
     pub exposure_s: f64,
-    /// By how many stops pictures are brighter than they should be; darker if negative. Motion blur is that of
-    /// `exposure_s` all the same.
+    /// By how many stops pictures are brighter than they should be; darker if negative. Motion blur
+    /// is that of `exposure_s` all the same.
     pub exposure_stops: f64,
-    /// By how many stops pictures become brighter and darker in turn, as an auto-exposure makes them that follows the
-    /// backdrop and knows nothing of the bodies.
+    /// By how many stops pictures become brighter and darker in turn, as an auto-exposure makes
+    /// them that follows the backdrop and knows nothing of the bodies.
     pub exposure_swing_stops: f64,
     /// Shines on the bodies; `None`: the hall's lamps alone.
     pub sun: Option<Sun>,
@@ -69,8 +69,8 @@ pub struct WorldParameters {
     pub yaw_swing_deg_s: f64,
     /// Time between the exposures of the first and the last row, seconds. 0: a global shutter.
     pub readout_s: f64,
-    /// Nearest and farthest distance of the bodies' centres from the camera, metres. In a swarm: of drones that
-    /// are side by side on its ring from each other.
+    /// Nearest and farthest distance of the bodies' centres from the camera, metres. In a swarm: of
+    /// drones that are side by side on its ring from each other.
     pub distance_m: [f64; 2],
     /// Greatest speed of any body, metres per second.
     pub speed_m_s: f64,
@@ -78,7 +78,8 @@ pub struct WorldParameters {
     pub airframes: bool,
     /// How finely bodies are drawn.
     pub quality: Quality,
-    /// The observer's place in a swarm whose drones all fly in this world; `None`: the bodies fly round it.
+    /// The observer's place in a swarm whose drones all fly in this world; `None`: the bodies fly
+    /// round it.
     pub swarm: Option<SwarmPlace>,
 }
 
@@ -127,11 +128,13 @@ impl Default for WorldParameters {
     }
 }
 
-/// An auto-exposure swings once in this time, seconds: slowly beside a frame, and several times in a flight.
+/// An auto-exposure swings once in this time, seconds: slowly beside a frame, and several times in
+/// a flight.
 const EXPOSURE_SWING_S: f64 = 2.5;
 
 impl WorldParameters {
-    /// By how many stops the auto-exposure makes a picture brighter at a time than [`Self::exposure_stops`] say.
+    /// Stops by which the auto-exposure makes a picture brighter at a time than
+    /// [`Self::exposure_stops`].
     pub fn exposure_swing_at(&self, time_s: f64) -> f64 {
         self.exposure_swing_stops * (std::f64::consts::TAU * time_s / EXPOSURE_SWING_S).sin()
     }
@@ -222,8 +225,8 @@ impl WorldParameters {
         problems
     }
 
-    /// When a frame is exposed, seconds since the middle of frame 0's exposure. Cameras of a swarm are not
-    /// synchronized: each is a share of a frame later than the one before it.
+    /// When a frame is exposed, seconds since the middle of frame 0's exposure. Cameras of a swarm
+    /// are not synchronized: each is a share of a frame later than the one before it.
     pub fn time_of(&self, frame: u64) -> f64 {
         let share =
             self.swarm.map_or(0.0, |swarm| f64::from(swarm.drone) / f64::from(swarm.drones));

@@ -16,16 +16,16 @@ use crate::tiled_picture::TiledPicture;
 
 /// The image of a camera, with what is the same in all its frames.
 #[derive(Debug)]
-pub enum Picture {
+pub(crate) enum Picture {
     /// Equirectangular and twice as wide as high: rows are turned and copied.
     Sphere(SpherePicture),
-    /// Of any camera: pixels are looked up.
+    /// The image of any camera: pixels are looked up.
     Tiled(TiledPicture),
 }
 
 impl Picture {
     /// The image of the world's camera, seen by its `eyes`.
-    pub fn new(parameters: &WorldParameters, eyes: &[Eye], sensor: &Sensor) -> Self {
+    pub(crate) fn new(parameters: &WorldParameters, eyes: &[Eye], sensor: &Sensor) -> Self {
         let camera = &parameters.camera;
         let is_sphere = matches!(camera.model(), CameraModel::Equirectangular { .. })
             && camera.width() == 2 * camera.height();
@@ -37,7 +37,13 @@ impl Picture {
     }
 
     /// Writes the levels of a frame, rows `stride` bytes apart.
-    pub fn expose(&mut self, scene: Scene<'_>, sensor: &Sensor, luma: &mut [u8], stride: usize) {
+    pub(crate) fn expose(
+        &mut self,
+        scene: Scene<'_>,
+        sensor: &Sensor,
+        luma: &mut [u8],
+        stride: usize,
+    ) {
         match self {
             Self::Sphere(picture) => picture.expose(scene, sensor, luma, stride),
             Self::Tiled(picture) => picture.expose(scene, sensor, luma, stride),
@@ -46,7 +52,7 @@ impl Picture {
 
     /// The image's density where the eye of this index sees a body of `radius` metres; `None` if
     /// nothing of it, nor of its blur, is in that eye's part of the image.
-    pub fn density_at(
+    pub(crate) fn density_at(
         &self,
         eye: usize,
         seen: &Placement,

@@ -9,11 +9,11 @@
 use nalgebra::Point2;
 
 /// Light times coverage, and coverage: what a layer adds to a sample and how much it hides.
-pub const CHANNELS: usize = 2;
+pub(crate) const CHANNELS: usize = 2;
 
 /// Differences along rows of (light, coverage), waiting to be summed.
 #[derive(Debug, Default)]
-pub struct Accumulator {
+pub(crate) struct Accumulator {
     width: usize,
     differences: Vec<f32>,
 }
@@ -21,7 +21,7 @@ pub struct Accumulator {
 impl Accumulator {
     /// Makes room for `width` by `height` samples. All is empty between two layers, so nothing has
     /// to be cleared.
-    pub fn resize(&mut self, width: usize, height: usize) {
+    pub(crate) fn resize(&mut self, width: usize, height: usize) {
         self.width = width;
         self.differences.resize(width * height * CHANNELS, 0.0);
     }
@@ -29,7 +29,7 @@ impl Accumulator {
     /// Adds the area of a simple polygon: `light` and `cover` for each whole sample. Its points
     /// lie in [0, width - 2] x [0, height]; sample (i, j) is the square from (i, j) to
     /// (i + 1, j + 1). The order of the corners does not matter.
-    pub fn add_polygon(&mut self, corners: &[Point2<f64>], light: f64, cover: f64) {
+    pub(crate) fn add_polygon(&mut self, corners: &[Point2<f64>], light: f64, cover: f64) {
         let pairs = || corners.iter().zip(corners.iter().cycle().skip(1));
         let doubled_area: f64 = pairs().map(|(a, b)| a.x * b.y - b.x * a.y).sum();
         // With y downwards, a positive area has its left side running upwards.
@@ -90,7 +90,7 @@ impl Accumulator {
 
     /// Lays what was added over `samples` (rows of (light, coverage), premultiplied), hiding what
     /// was there by `opacity` where covered, in the rows and columns given; and forgets it.
-    pub fn lay_over(
+    pub(crate) fn lay_over(
         &mut self,
         samples: &mut [f32],
         rows: std::ops::Range<usize>,

@@ -3,9 +3,9 @@
 use crate::drawing::Drawing;
 use crate::moment::Attitude;
 
-/// One drawing over the others, from the eye of this index.
+/// A drawing over the others, from the eye of this index.
 #[derive(Debug, Clone, Copy)]
-pub struct Layer<'a> {
+pub(crate) struct Layer<'a> {
     /// Which eye sees it.
     pub eye: usize,
     /// What is seen.
@@ -14,7 +14,7 @@ pub struct Layer<'a> {
 
 /// Everything that a frame is made from.
 #[derive(Debug, Clone, Copy)]
-pub struct Scene<'a> {
+pub(crate) struct Scene<'a> {
     /// Chooses the noise.
     pub frame: u64,
     /// The camera's, in the middle of the exposure.

@@ -2,7 +2,7 @@
 
 /// A frame to be drawn.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Due {
+pub(crate) struct Due {
     /// Its number.
     pub frame: u64,
     /// Frames before it that cannot be drawn in time.
@@ -11,7 +11,7 @@ pub struct Due {
 
 /// When a frame is exposed and given away, nanoseconds of CLOCK_MONOTONIC.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Times {
+pub(crate) struct Times {
     /// The middle of its exposure.
     pub exposure_ns: i64,
     /// When it is handed over.
@@ -20,17 +20,17 @@ pub struct Times {
     pub next_ns: i64,
 }
 
-/// What is left of the longest time that drawing took, after each frame: one slow frame lets the next
+/// Decay of the longest time that drawing took, with each frame: one slow frame lets the next
 /// hundred be left out a little sooner.
 const FORGETTING: f64 = 0.97;
 
 /// Frames at a steady rate from a start.
 ///
-/// A frame is exposed round its scheduled instant, however long the work of drawing it takes, and handed
-/// over when its exposure ends: a camera's picture is there then. So frames are drawn before. One that
-/// would come when the next one should be there is left out.
+/// A frame is exposed round its scheduled instant, however long the work of drawing it takes, and
+/// handed over when its exposure ends: a camera's picture is there then. So frames are drawn
+/// before. One that would come when the next one should be there is left out.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Schedule {
+pub(crate) struct Schedule {
     start_ns: i64,
     period_ns: f64,
     half_exposure_ns: i64,
@@ -40,8 +40,9 @@ pub struct Schedule {
 }
 
 impl Schedule {
-    /// The middle of frame 0's exposure was at `start_ns`; `half_exposure_ns` later it was handed over.
-    pub fn new(start_ns: i64, frames_per_second: f64, half_exposure_ns: i64) -> Self {
+    /// The middle of frame 0's exposure was at `start_ns`; `half_exposure_ns` later it was handed
+    /// over.
+    pub(crate) fn new(start_ns: i64, frames_per_second: f64, half_exposure_ns: i64) -> Self {
         Self {
             start_ns,
             period_ns: 1e9 / frames_per_second,
@@ -51,8 +52,9 @@ impl Schedule {
         }
     }
 
-    /// The same, joined at `now_ns` or at its start, whichever is later: frames before that are none of ours.
-    pub fn joining(
+    /// A schedule that is joined at `now_ns` or at its start, whichever is later: frames before
+    /// that do not count.
+    pub(crate) fn joining(
         start_ns: i64,
         frames_per_second: f64,
         half_exposure_ns: i64,
@@ -65,7 +67,7 @@ impl Schedule {
     }
 
     /// When frame `frame` is exposed and handed over.
-    pub fn times(&self, frame: u64) -> Times {
+    pub(crate) fn times(&self, frame: u64) -> Times {
         let exposure_ns = |frame: u64| {
             self.start_ns.saturating_add((frame as f64 * self.period_ns).round() as i64)
         };
@@ -77,16 +79,16 @@ impl Schedule {
         }
     }
 
-    /// When to begin drawing the next frame so that it is drawn so many frames before its time, and not
-    /// sooner: what was handed over last is being searched then.
-    pub fn begin_ns(&self, frames_ahead: u64) -> i64 {
+    /// When to begin drawing the next frame so that it is drawn so many frames before its time, and
+    /// not sooner: what was handed over last is being searched then.
+    pub(crate) fn begin_ns(&self, frames_ahead: u64) -> i64 {
         let drawn_ns = self.times(self.next.saturating_sub(frames_ahead)).handover_ns;
         drawn_ns.saturating_sub(self.drawing_ns as i64)
     }
 
-    /// The frame to draw now: the next one, or, where it is late, the newest that should be there once it
-    /// is drawn.
-    pub fn draw(&mut self, now_ns: i64) -> Due {
+    /// The frame to draw now: the next one, or, where it is late, the newest that should be there
+    /// once it is drawn.
+    pub(crate) fn draw(&mut self, now_ns: i64) -> Due {
         let drawn_ns = now_ns + self.drawing_ns as i64;
         let elapsed = (drawn_ns - self.times(0).handover_ns) as f64 / self.period_ns;
         let frame = (elapsed.floor() as u64).max(self.next);
@@ -95,8 +97,9 @@ impl Schedule {
         Due { frame, skipped }
     }
 
-    /// Takes note of how long a frame took to draw; more than a period is not believed of the next one.
-    pub fn drew(&mut self, took_ns: i64) {
+    /// Takes note of how long a frame took to draw; more than a period is not believed of the next
+    /// one.
+    pub(crate) fn drew(&mut self, took_ns: i64) {
         self.drawing_ns = (FORGETTING * self.drawing_ns).max(took_ns as f64).min(self.period_ns);
     }
 }

@@ -22,7 +22,7 @@ const NOISE_SHIFT: i16 = 9;
 
 /// A camera's sensor and encoder.
 #[derive(Debug)]
-pub struct Sensor {
+pub(crate) struct Sensor {
     decode: [f32; 256],
     encode: Vec<u8>,
     shot_variance: f32,
@@ -31,7 +31,8 @@ pub struct Sensor {
     /// What the sensor makes of light 1: 2 if it is exposed twice as long as it should be.
     gain: f32,
     sigma_of_level: [u8; 256],
-    /// For each level what it becomes by the auto-exposure, with its noise; `None` where nothing swings.
+    /// For each level what it becomes by the auto-exposure, with its noise; `None` where nothing
+    /// swings.
     adapted: Option<Box<[[u8; 2]; 256]>>,
     noise: Vec<i8>,
     seed: u64,
@@ -39,7 +40,7 @@ pub struct Sensor {
 
 impl Sensor {
     /// The sensor of a world.
-    pub fn new(parameters: &WorldParameters) -> Self {
+    pub(crate) fn new(parameters: &WorldParameters) -> Self {
         let response = parameters.response;
         let gain = f64::from(parameters.iso) / 100.0;
         let shot_variance = (gain * parameters.shot_noise.powi(2)) as f32;
@@ -69,23 +70,23 @@ impl Sensor {
     }
 
     /// Linear light of a level, in a picture that is exposed as it should be.
-    pub fn light(&self, level: u8) -> f32 {
+    pub(crate) fn light(&self, level: u8) -> f32 {
         self.decode[usize::from(level)] / self.gain
     }
 
     /// Level of linear light, clipped at full scale.
-    pub fn level(&self, light: f32) -> u8 {
+    pub(crate) fn level(&self, light: f32) -> u8 {
         let step = ((light * self.gain).max(0.0).sqrt() * ENCODING_STEPS as f32) as usize;
         self.encode[step.min(ENCODING_STEPS - 1)]
     }
 
     /// Noise at a level, as [`Sensor::expose`] takes it.
-    pub fn sigma(&self, level: u8) -> u8 {
+    pub(crate) fn sigma(&self, level: u8) -> u8 {
         self.sigma_of_level[usize::from(level)]
     }
 
     /// Noise at a light that may lie above full scale, where clipping leaves none.
-    pub fn sigma_of_light(&self, light: f32) -> u8 {
+    pub(crate) fn sigma_of_light(&self, light: f32) -> u8 {
         let light = light * self.gain;
         let sigma = (self.shot_variance * light + self.read_variance).sqrt();
         if light - 4.0 * sigma > 1.0 {
@@ -101,9 +102,10 @@ impl Sensor {
         (sigma * slope * 255.0 * SIGMA_UNIT).round() as u8
     }
 
-    /// Makes the next pictures brighter by so many stops than the levels that they are drawn in. What is drawn in levels is
-    /// brightened in light and clipped then; its steps become coarser with it.
-    pub fn adapt(&mut self, stops: f64) {
+    /// Makes the next pictures brighter by so many stops than the levels that they are drawn in.
+    /// What is drawn in levels is brightened in light and clipped then; its steps become coarser
+    /// with it.
+    pub(crate) fn adapt(&mut self, stops: f64) {
         let more = stops.exp2() as f32;
         let adapted = |level: usize| {
             let light = self.light(level as u8) * more;
@@ -114,7 +116,7 @@ impl Sensor {
 
     /// Writes a row of `levels` with noise of their `sigmas`, the same for the same `frame` and
     /// `row`. `column` is where in the row the levels begin.
-    pub fn expose(
+    pub(crate) fn expose(
         &self,
         frame: u64,
         row: usize,

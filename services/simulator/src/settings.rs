@@ -1,13 +1,35 @@
 //! The world as the configuration asks for it.
 
+use std::path::Path;
+
 use anyhow::Context as _;
 use flockeye_config::{Resolved, Simulator};
 use flockeye_convert::transfer_curve;
+use flockeye_dictionary::Dictionary;
 use flockeye_geometry::body::Bodies;
 
 use crate::parameters::SwarmPlace;
 use crate::sun::Sun;
-use crate::{Response, WorldParameters};
+use crate::{Response, World, WorldParameters};
+
+/// The world, and the bodies that fly in it. Its painted panorama is kept in `paint_folder` for the
+/// next process.
+///
+/// # Errors
+/// As [`flying_bodies`] and [`parameters`]; a world that cannot be made.
+pub(crate) fn world(
+    resolved: &Resolved,
+    paint_folder: &Path,
+) -> anyhow::Result<(World, Option<Bodies>)> {
+    let flying = flying_bodies(resolved)?;
+    let paint_folder = Some(paint_folder.to_owned());
+    let parameters = WorldParameters { paint_folder, ..parameters(resolved)? };
+    let world = match &flying {
+        Some(bodies) => World::new(parameters, bodies, &Dictionary::of(bodies)?)?,
+        None => World::empty(parameters)?,
+    };
+    Ok((world, flying))
+}
 
 /// The bodies that fly: the first of those configured. `None` if none does.
 ///

@@ -4,7 +4,7 @@ use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
 /// The grid of an equirectangular image: what is needed again and again is tabulated.
 #[derive(Debug)]
-pub struct SphereGrid {
+pub(crate) struct SphereGrid {
     /// Columns.
     pub width: usize,
     /// Rows.
@@ -18,7 +18,7 @@ pub struct SphereGrid {
 /// Columns of one row, perhaps over the seam: `first` may lie outside of the image, and counts
 /// modulo its width.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Span {
+pub(crate) struct Span {
     /// First column.
     pub first: i64,
     /// How many.
@@ -27,7 +27,7 @@ pub struct Span {
 
 impl Span {
     /// The one or two runs of columns inside the image, as (first, end).
-    pub fn runs(self, width: usize) -> impl Iterator<Item = (usize, usize)> {
+    pub(crate) fn runs(self, width: usize) -> impl Iterator<Item = (usize, usize)> {
         let first = self.first.rem_euclid(width as i64) as usize;
         let end = first + self.count.min(width);
         [(first, end.min(width)), (0, end.saturating_sub(width))]
@@ -38,7 +38,7 @@ impl Span {
 
 impl SphereGrid {
     /// The grid of an image of this size.
-    pub fn new(width: usize, height: usize) -> Self {
+    pub(crate) fn new(width: usize, height: usize) -> Self {
         let pair = |angle: f64| [angle.cos() as f32, angle.sin() as f32];
         let longitude = |column: usize| PI - (column as f64 + 0.5) * TAU / width as f64;
         let latitude = |row: usize| FRAC_PI_2 - (row as f64 + 0.5) * PI / height as f64;
@@ -51,7 +51,7 @@ impl SphereGrid {
     }
 
     /// Rows that a circle of `radius` radians round `latitude` touches.
-    pub fn rows_of_circle(&self, latitude: f64, radius: f64) -> std::ops::Range<usize> {
+    pub(crate) fn rows_of_circle(&self, latitude: f64, radius: f64) -> std::ops::Range<usize> {
         let row = |latitude: f64| (FRAC_PI_2 - latitude) / PI * self.height as f64 - 0.5;
         let first = row(latitude + radius).floor().max(0.0) as usize;
         let end = (row(latitude - radius).ceil() + 1.0).clamp(0.0, self.height as f64) as usize;
@@ -59,8 +59,14 @@ impl SphereGrid {
     }
 
     /// Columns of `row` that lie in the circle of `radius` radians round a direction: all of them
-    /// where the circle holds a pole and the row is near it.
-    pub fn span_of_circle(&self, row: usize, longitude: f64, latitude: f64, radius: f64) -> Span {
+    /// where the circle has a pole in it and the row is near that.
+    pub(crate) fn span_of_circle(
+        &self,
+        row: usize,
+        longitude: f64,
+        latitude: f64,
+        radius: f64,
+    ) -> Span {
         let whole = Span { first: 0, count: self.width };
         let [cos_row, sin_row] = self.rows[row].map(f64::from);
         let across = cos_row * latitude.cos();

@@ -1,5 +1,5 @@
 //! The equirectangular image, row by row: the backdrop is turned by whole columns, and most rows
-//! hold nothing else.
+//! have nothing else.
 
 use std::f64::consts::TAU;
 use std::ops::Range;
@@ -19,13 +19,13 @@ use crate::sphere::SphereGrid;
 
 /// The grid and all that lies still on it.
 #[derive(Debug)]
-pub struct SpherePicture {
+pub(crate) struct SpherePicture {
     grid: SphereGrid,
     backdrop: Behind,
     own_airframe: Option<OwnAirframe>,
     parts: Vec<SpherePart>,
-    /// Levels and sigmas of a row, in gusts of the whole image: kept from frame to frame for their memory
-    /// alone.
+    /// Levels and sigmas of a row, in gusts of the whole image: kept from frame to frame for their
+    /// memory alone.
     levels: Vec<u8>,
     sigmas: Vec<u8>,
 }
@@ -66,7 +66,7 @@ impl SpherePart {
 
 impl SpherePicture {
     /// The image of the world's camera, which is twice as wide as high.
-    pub fn new(parameters: &WorldParameters, eyes: &[Eye], sensor: &Sensor) -> Self {
+    pub(crate) fn new(parameters: &WorldParameters, eyes: &[Eye], sensor: &Sensor) -> Self {
         let camera = &parameters.camera;
         let grid = SphereGrid::new(camera.width() as usize, camera.height() as usize);
         let room = if parameters.is_calm() { grid.width } else { grid.width * grid.height };
@@ -87,7 +87,7 @@ impl SpherePicture {
 
     /// The density, the same everywhere, and how far `direction` lies outside of what the eye
     /// takes, radians.
-    pub fn nearest(&self, eye: usize, direction: &Vector3<f64>) -> (Density, f64) {
+    pub(crate) fn nearest(&self, eye: usize, direction: &Vector3<f64>) -> (Density, f64) {
         let apart = self.parts[eye]
             .normal
             .map_or(0.0, |normal| (-normal.dot(direction)).clamp(0.0, 1.0).asin());
@@ -95,7 +95,13 @@ impl SpherePicture {
     }
 
     /// Lays the layers over each other, row by row, and adds the noise.
-    pub fn expose(&mut self, scene: Scene<'_>, sensor: &Sensor, luma: &mut [u8], stride: usize) {
+    pub(crate) fn expose(
+        &mut self,
+        scene: Scene<'_>,
+        sensor: &Sensor,
+        luma: &mut [u8],
+        stride: usize,
+    ) {
         let width = self.grid.width;
         let turned = (scene.camera.yaw() / TAU * width as f64).round() as i64;
         let shift = turned.rem_euclid(width as i64) as usize;

@@ -1,9 +1,10 @@
 //! A low sun that shines on the bodies past things that cast shadows.
 //!
-//! Its light comes from one direction, so one side of a body is many times brighter than the other: a surface that faces it has
-//! the light of the hall, and one that it does not reach a share of that. What stands before it, a
-//! fence or the slats of a blind, casts shadows in stripes that stand still in the world: they cross markers, and their edges
-//! lie anywhere on them. Bodies cast no shadows themselves.
+//! Its light comes from one direction, so one side of a body is many times brighter than the other:
+//! a surface that faces it has the light of the hall, and one that it does not reach a share of
+//! that. What stands before it, a fence or the slats of a blind, casts shadows in stripes that
+//! stand still in the world: they cross markers, and their edges lie anywhere on them. Bodies cast
+//! no shadows themselves.
 
 use nalgebra::{Isometry3, Point3, Vector3};
 
@@ -82,7 +83,8 @@ impl Sunlight {
         self.shade
     }
 
-    /// Share of its full light that the sun adds to a surface with this normal; 0 if it does not reach it.
+    /// Share of its full light that the sun adds to a surface with this normal; 0 if it does not
+    /// reach it.
     pub fn added(&self, normal: &Vector3<f64>) -> f64 {
         (1.0 - self.shade) * normal.dot(&self.towards_sun).max(0.0)
     }
@@ -169,7 +171,7 @@ mod tests {
             turn in prop::array::uniform3(-3.0..3.0f64),
             at in prop::array::uniform3(-2.0..2.0f64),
         ) {
-            // The same square metre of the world, as part of bodies with different poses.
+            // One square metre of the world, as part of bodies with different poses.
             let world = SUN.on(&Isometry3::identity()).reaches(&square(0.2));
             let pose = Isometry3::new(Vector3::from(at), Vector3::from(turn));
             let there: Vec<_> =

@@ -17,7 +17,7 @@ type Covered = Vec<(u8, f32)>;
 
 /// The tiles and all that lies still behind and over them.
 #[derive(Debug)]
-pub struct TiledPicture {
+pub(crate) struct TiledPicture {
     width: usize,
     height: usize,
     bands: Vec<Vec<Tile>>,
@@ -35,7 +35,7 @@ pub struct TiledPicture {
 
 impl TiledPicture {
     /// The image of the world's camera.
-    pub fn new(parameters: &WorldParameters, eyes: &[Eye], sensor: &Sensor) -> Self {
+    pub(crate) fn new(parameters: &WorldParameters, eyes: &[Eye], sensor: &Sensor) -> Self {
         let (width, height) = (parameters.camera.width(), parameters.camera.height());
         let bands = bands(&parameters.camera, eyes);
         let (panoramas, outlooks) = Panoramas::new(parameters, &bands, sensor);
@@ -59,7 +59,7 @@ impl TiledPicture {
 
     /// The density in the eye's tile that is nearest to `direction`, and how far outside of that
     /// tile it lies, radians; `None` if the eye has no tile.
-    pub fn nearest(&self, eye: usize, direction: &Vector3<f64>) -> Option<(Density, f64)> {
+    pub(crate) fn nearest(&self, eye: usize, direction: &Vector3<f64>) -> Option<(Density, f64)> {
         let tiles = self.bands.iter().flatten().filter(|tile| tile.eye == eye);
         let nearness = |tile: &Tile| tile.axis.dot(direction);
         let tile = tiles.max_by(|a, b| nearness(a).total_cmp(&nearness(b)))?;
@@ -70,7 +70,13 @@ impl TiledPicture {
     }
 
     /// Lays the layers over each other, band by band, and adds the noise.
-    pub fn expose(&mut self, scene: Scene<'_>, sensor: &Sensor, luma: &mut [u8], stride: usize) {
+    pub(crate) fn expose(
+        &mut self,
+        scene: Scene<'_>,
+        sensor: &Sensor,
+        luma: &mut [u8],
+        stride: usize,
+    ) {
         let row_length = self.levels.len() / TILE;
         let mut rows = luma.chunks_mut(stride).take(self.height).enumerate();
         let still = self.outlooks.iter().zip(&self.own_airframe);

@@ -1,6 +1,6 @@
 //! Pixels of any camera's image and the directions they see, in square tiles.
 //!
-//! A tile knows a circle on the sphere that holds all that it sees, so that most tiles can be passed
+//! A tile has a circle on the sphere round all that it sees, so that most tiles can be passed
 //! over at once by whatever is drawn.
 
 use std::f64::consts::PI;
@@ -13,15 +13,15 @@ use crate::density::Density;
 use crate::eyes::Eye;
 
 /// Pixels along a tile's side.
-pub const TILE: usize = 16;
+pub(crate) const TILE: usize = 16;
 
 /// Directions of a row of a tile, along the camera's axes: x, y and z. All 0 where the eye has no
 /// pixel.
-pub type RayRow = [[f32; TILE]; 3];
+pub(crate) type RayRow = [[f32; TILE]; 3];
 
 /// What one eye sees in a square of the image.
 #[derive(Debug)]
-pub struct Tile {
+pub(crate) struct Tile {
     /// Its first column.
     pub column: usize,
     /// The eye's index.
@@ -30,7 +30,7 @@ pub struct Tile {
     pub seen: [u16; TILE],
     /// For each row what its pixels look at.
     pub rays: [RayRow; TILE],
-    /// Middle of a circle that holds all rays.
+    /// Middle of a circle round all rays.
     pub axis: Vector3<f64>,
     /// The circle's radius, radians.
     pub radius: f64,
@@ -40,14 +40,14 @@ pub struct Tile {
 
 impl Tile {
     /// Columns within row `row` of the tile that the eye has.
-    pub fn seen_in(&self, row: usize) -> impl Iterator<Item = usize> {
+    pub(crate) fn seen_in(&self, row: usize) -> impl Iterator<Item = usize> {
         let seen = self.seen[row];
         (0..TILE).filter(move |column| seen >> column & 1 == 1)
     }
 }
 
 /// The tiles of an image, by bands of [`TILE`] rows.
-pub fn bands(camera: &Camera, eyes: &[Eye]) -> Vec<Vec<Tile>> {
+pub(crate) fn bands(camera: &Camera, eyes: &[Eye]) -> Vec<Vec<Tile>> {
     let count = (camera.height() as usize).div_ceil(TILE);
     let across = (camera.width() as usize).div_ceil(TILE);
     let threads = std::thread::available_parallelism().map_or(1, NonZero::get);

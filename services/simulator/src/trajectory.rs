@@ -53,7 +53,7 @@ impl Wave {
 
 /// The way of one body.
 #[derive(Debug, Clone)]
-pub struct Trajectory {
+pub(crate) struct Trajectory {
     /// Phase gained in a second, radians.
     rate: f64,
     azimuth: Wave,
@@ -67,7 +67,7 @@ pub struct Trajectory {
 impl Trajectory {
     /// Pose of the body's markers in the world, whose origin is the camera: x where the observer
     /// looked at time 0, z up.
-    pub fn world_from_markers(&self, time_s: f64) -> Isometry3<f64> {
+    pub(crate) fn world_from_markers(&self, time_s: f64) -> Isometry3<f64> {
         let phase = self.rate * time_s;
         let rotation = UnitQuaternion::from_euler_angles(
             self.roll.value(phase),
@@ -78,7 +78,7 @@ impl Trajectory {
     }
 
     /// Velocity of the body in the world, metres per second.
-    pub fn velocity(&self, time_s: f64) -> Vector3<f64> {
+    pub(crate) fn velocity(&self, time_s: f64) -> Vector3<f64> {
         self.change(self.rate * time_s) * self.rate
     }
 
@@ -102,12 +102,15 @@ impl Trajectory {
     }
 }
 
-/// Draws a way for each drone, of the given radii (metres). They share their period, so what holds
-/// for one round holds for ever.
+/// Draws a way for each drone, of the given radii (metres). They share their period, so what is
+/// true of one round is true for ever.
 ///
 /// # Errors
 /// Bodies that come too near to the camera, or too many of them for the space.
-pub fn draw(parameters: &WorldParameters, radii: &[f64]) -> Result<Vec<Trajectory>, WorldError> {
+pub(crate) fn draw(
+    parameters: &WorldParameters,
+    radii: &[f64],
+) -> Result<Vec<Trajectory>, WorldError> {
     let [near, far] = parameters.distance_m;
     let phases: Vec<f64> = (0..CHECKS).map(|k| f64::from(k) * TAU / f64::from(CHECKS)).collect();
     for attempt in 0..ATTEMPTS {

@@ -50,8 +50,8 @@ pub struct TargetTruth {
     pub azimuth: f64,
     /// Elevation of the centre in the camera frame, radians.
     pub elevation: f64,
-    /// Markers of which at least half of the black square is visible. An image circle is a picture by
-    /// itself: a marker counts as it is seen in the better one.
+    /// Markers of which at least half of the black square is visible. An image circle is a picture
+    /// by itself: a marker counts as it is seen in the better one.
     pub markers_visible_50: u32,
     /// Markers of which at least 90 % of the black square is visible.
     pub markers_visible_90: u32,
@@ -67,7 +67,7 @@ pub struct TargetTruth {
 
 /// Who looks.
 #[derive(Debug, Clone, Copy)]
-pub struct Viewer<'a> {
+pub(crate) struct Viewer<'a> {
     /// The camera's eyes.
     pub eyes: &'a [Eye],
     /// The world's.
@@ -83,9 +83,9 @@ struct View<'a> {
     own_airframe: Option<f32>,
 }
 
-/// The truth of every body at `moment`, in the order of `drones`. `sights` say, for each body and
+/// The truth of every body at `moment`, in the order of `drones`. `sights` are, for each body and
 /// eye, where the eye has it in its part of the image.
-pub fn targets(
+pub(crate) fn targets(
     drones: &[Drone],
     moment: &Moment,
     sights: &[Vec<Option<Sight>>],

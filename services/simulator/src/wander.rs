@@ -12,12 +12,13 @@ use crate::trajectory::Wave;
 
 /// Multiples of its round in which a drone swings.
 const HARMONICS: [f64; 2] = [2.0, 5.0];
-/// Share of the greatest speed at which a drone flies: two that fly against each other have twice that.
+/// Share of the greatest speed at which a drone flies: two that fly against each other have twice
+/// that.
 const PACE: f64 = 0.25;
 
-/// One drone's way near its place on the ring.
+/// A drone's way near its place on the ring.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Wander {
+pub(crate) struct Wander {
     place: Vector3<f64>,
     axes: [Wave; 3],
     /// Phase gained in a second, radians.
@@ -27,9 +28,9 @@ pub struct Wander {
 }
 
 impl Wander {
-    /// That of drone `drone` of `drones`. Those side by side on the ring stay as far from each other as
-    /// `distance_m` says, all others farther.
-    pub fn draw(parameters: &WorldParameters, drone: u32, drones: u32) -> Self {
+    /// That of drone `drone` of `drones`. Those side by side on the ring stay as far from each
+    /// other as `distance_m` says, all others farther.
+    pub(crate) fn draw(parameters: &WorldParameters, drone: u32, drones: u32) -> Self {
         let seed = mix(parameters.seed ^ mix(u64::from(drone) ^ 0x7761_6e64));
         let mut random = StdRng::seed_from_u64(seed);
         let [near, far] = parameters.distance_m;
@@ -51,18 +52,18 @@ impl Wander {
     }
 
     /// Where it is at a time, metres.
-    pub fn position(&self, time_s: f64) -> Vector3<f64> {
+    pub(crate) fn position(&self, time_s: f64) -> Vector3<f64> {
         let phase = self.rate * time_s;
         self.place + Vector3::from_fn(|axis, _| self.axes[axis].value(phase))
     }
 
     /// Its yaw at time 0, radians.
-    pub fn start_yaw(&self) -> f64 {
+    pub(crate) fn start_yaw(&self) -> f64 {
         self.start_yaw
     }
 
     /// Whether it turns to its left (1) or to its right (-1).
-    pub fn sense(&self) -> f64 {
+    pub(crate) fn sense(&self) -> f64 {
         self.sense
     }
 }

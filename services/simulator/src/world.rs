@@ -90,7 +90,7 @@ impl World {
         Self::with_drones(parameters, Vec::new(), &[])
     }
 
-    /// `drones_from_markers` says where each body's markers sit on its drone.
+    /// `drones_from_markers` are the places of each body's markers on its drone.
     fn with_drones(
         parameters: WorldParameters,
         drones: Vec<Drone>,
@@ -183,7 +183,7 @@ impl World {
         Moment { time_s, camera, placements: trajectories.iter().map(place).collect() }
     }
 
-    /// Of an observer that does not stay in its place.
+    /// The backdrop of an observer that does not stay in its place.
     fn moving_moment(&self, time_s: f64) -> Moment {
         let camera = self.motion.attitude(time_s);
         let height = f64::from(self.parameters.camera.height());
@@ -218,9 +218,9 @@ impl World {
         self.motion.world_from_camera(time_s).inverse() * world_from_markers
     }
 
-    /// Writes the luma plane of a frame (8 bit, the parameters' curve, full range) and says what is true of
-    /// it. Rows lie `stride` bytes apart; what lies between them is left alone, and every pixel is
-    /// written once.
+    /// Writes the luma plane of a frame (8 bit, the parameters' curve, full range) and returns what
+    /// is true of it. Rows lie `stride` bytes apart; what lies between them is left alone, and
+    /// every pixel is written once.
     ///
     /// # Errors
     /// [`RenderError`]: memory too small, or a stride shorter than a row.
@@ -233,7 +233,8 @@ impl World {
         let time_s = self.parameters.time_of(frame);
         let moment = self.moment(time_s);
         let mut truth = self.render_moment(frame, &moment, luma, stride)?;
-        // What is true of a frame holds for the middle of its exposure, whenever a body's rows were exposed.
+        // The truth of a frame is that of the middle of its exposure, whenever a body's rows were
+        // exposed.
         if self.parameters.readout_s > 0.0 {
             for body in &mut truth.bodies {
                 body.camera_from_markers = self.camera_from_markers(body.target, time_s);
@@ -242,7 +243,7 @@ impl World {
         Ok(truth)
     }
 
-    /// As [`World::render`], with everything where `moment` says. `frame` chooses the noise.
+    /// As [`World::render`], with everything at its place in `moment`. `frame` chooses the noise.
     ///
     /// # Errors
     /// As [`World::render`]; and bodies that are too near or not as many as the world's.

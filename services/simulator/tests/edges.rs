@@ -102,7 +102,8 @@ fn edge_errors(world: &mut World, placement: Placement) -> Vec<f64> {
         .collect()
 }
 
-/// Directions (azimuth, elevation) in degrees: ahead, aside, over the seam, both poles, around them.
+/// Directions (azimuth, elevation) in degrees: ahead, aside, over the seam, both poles, around
+/// them.
 const DIRECTIONS: [[f64; 2]; 9] = [
     [0.0, 0.0],
     [77.0, 10.0],

@@ -1,5 +1,5 @@
-//! What cameras other than the plain sphere see: printed edges land where the projections in `sheet`
-//! put them, and what no lens has is not counted.
+//! What cameras other than the plain sphere see: printed edges land where the projections in
+//! `sheet` put them, and what no lens has is not counted.
 
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 

@@ -1,0 +1,191 @@
+//! The core of the simulator: which frame is drawn or handed over next, and its messages. It has no
+//! port, no clock and no thread; pictures are drawn by [`World`].
+//!
+//! [`Core::step`] gives the next action, and [`Core::on`] takes what came of waiting for a drawn
+//! frame.
+
+use flockeye_config::{Flow, InertialSource, Resolved};
+use flockeye_contract::{BodyTruth, FrameHeader, FrameStamp, ImuHeader, ImuSample, TruthHeader};
+use flockeye_geometry::body::Bodies;
+
+use crate::ahead::{Delivery, DrawnFrame};
+use crate::inertial::InertialSensor;
+use crate::messages::TruthWriter;
+use crate::{FrameTruth, World};
+
+/// Time before its hand-over at which a frame is copied into shared memory, nanoseconds: several
+/// times as long as that takes.
+const COPY_AHEAD_NS: i64 = 10_000_000;
+
+/// What is to be done.
+#[derive(Debug)]
+pub(crate) enum Action {
+    /// Draw this frame and publish it at once.
+    Draw(u64),
+    /// Wait for the next frame that was drawn ahead.
+    Await,
+    /// Copy a frame, and publish it when its time has come.
+    HandOver(Box<DrawnFrame>),
+    /// Give a frame's memory back: the next frame's time has come.
+    LeaveOut(Box<DrawnFrame>),
+    /// Nothing until then, CLOCK_MONOTONIC, nanoseconds.
+    WaitUntil(i64),
+    /// Nothing any more.
+    Finish,
+}
+
+/// The messages of a frame, in the order in which they are sent: whoever gets the frame has the
+/// rest then.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct FrameMessages {
+    /// What the inertial sensor has measured until the exposure's end; `None` without one.
+    pub(crate) inertial: Option<(ImuHeader, Vec<ImuSample>)>,
+    /// The truth.
+    pub(crate) truth: (TruthHeader, Vec<BodyTruth>),
+    /// The header of the picture.
+    pub(crate) frame: FrameHeader,
+}
+
+/// What the simulator keeps between frames.
+pub(crate) struct Core {
+    pace: Pace,
+    writer: TruthWriter,
+    sensor: Option<InertialSensor>,
+    generation: u32,
+    last_frame: u64,
+    /// Whether the sensor's first samples were taken.
+    has_joined: bool,
+}
+
+/// When frames are drawn.
+enum Pace {
+    /// When they are asked for: a lossless run.
+    OnDemand { next_frame: u64 },
+    /// Before their time.
+    Ahead { waiting: Option<Box<DrawnFrame>>, is_over: bool },
+}
+
+impl Core {
+    /// The core that a configuration asks for, in generation `generation` of this stage. In `world`
+    /// these bodies are `flying`.
+    pub(crate) fn new(
+        resolved: &Resolved,
+        world: &World,
+        flying: Option<&Bodies>,
+        generation: u32,
+    ) -> Self {
+        let pipeline = &resolved.pipeline;
+        let settings = &pipeline.simulator;
+        let sensor = match pipeline.inertial.parsed_source() {
+            Ok(InertialSource::Simulated) => {
+                let seed = world.parameters().seed;
+                Some(InertialSensor::new(world.motion().clone(), &settings.inertial, seed))
+            }
+            _ => None,
+        };
+        Self {
+            pace: match pipeline.flow() {
+                Flow::Lossless => Pace::OnDemand { next_frame: 0 },
+                Flow::Latest => Pace::Ahead { waiting: None, is_over: false },
+            },
+            writer: TruthWriter::new(resolved, flying, generation),
+            sensor,
+            generation,
+            last_frame: settings.frames.checked_sub(1).unwrap_or(u64::MAX),
+            has_joined: false,
+        }
+    }
+
+    /// The number of the last frame.
+    pub(crate) fn last_frame(&self) -> u64 {
+        self.last_frame
+    }
+
+    /// Whether an inertial sensor is simulated.
+    pub(crate) fn has_sensor(&self) -> bool {
+        self.sensor.is_some()
+    }
+
+    /// Width and height of a frame, pixels.
+    pub(crate) fn size_px(&self) -> (u32, u32) {
+        self.writer.size_px()
+    }
+
+    /// Takes what came of [`Action::Await`]. Returns how many frames were left out at the end.
+    pub(crate) fn on(&mut self, delivery: Delivery) -> u64 {
+        let Pace::Ahead { waiting, is_over } = &mut self.pace else { return 0 };
+        match delivery {
+            Delivery::Frame(drawn) => *waiting = Some(drawn),
+            Delivery::NotYet => {}
+            Delivery::Over { skipped } => {
+                let is_first = !std::mem::replace(is_over, true);
+                return if is_first { skipped } else { 0 };
+            }
+        }
+        0
+    }
+
+    /// What to do at `now_ns`, CLOCK_MONOTONIC.
+    pub(crate) fn step(&mut self, now_ns: i64) -> Action {
+        match &mut self.pace {
+            Pace::OnDemand { next_frame } => {
+                let frame = *next_frame;
+                if frame > self.last_frame {
+                    return Action::Finish;
+                }
+                *next_frame = frame + 1;
+                Action::Draw(frame)
+            }
+            Pace::Ahead { waiting, is_over } => {
+                let Some(drawn) = waiting.take() else {
+                    return if *is_over { Action::Finish } else { Action::Await };
+                };
+                let early_ns = drawn.times.handover_ns.saturating_sub(COPY_AHEAD_NS);
+                if now_ns < early_ns {
+                    *waiting = Some(drawn);
+                    return Action::WaitUntil(early_ns);
+                }
+                match drawn.times.next_ns <= now_ns {
+                    true => Action::LeaveOut(drawn),
+                    false => Action::HandOver(drawn),
+                }
+            }
+        }
+    }
+
+    /// The messages of a frame that is published at `now_ns`. The middle of its exposure is
+    /// `exposure_ns`; `None` in a lossless run, where the time of the stream counts.
+    pub(crate) fn messages(
+        &mut self,
+        truth: &FrameTruth,
+        exposure_ns: Option<i64>,
+        now_ns: i64,
+    ) -> FrameMessages {
+        let exposure_ns = exposure_ns.unwrap_or((truth.time_s * 1e9).round() as i64);
+        let stamp = self.writer.stamp(truth.frame, exposure_ns, truth, now_ns);
+        FrameMessages {
+            inertial: self.samples(stamp, truth, now_ns),
+            truth: self.writer.truth(stamp, truth),
+            frame: self.writer.frame(stamp, truth),
+        }
+    }
+
+    /// What the sensor has measured when the exposure ends and the picture is there.
+    fn samples(
+        &mut self,
+        stamp: FrameStamp,
+        truth: &FrameTruth,
+        now_ns: i64,
+    ) -> Option<(ImuHeader, Vec<ImuSample>)> {
+        let sensor = self.sensor.as_mut()?;
+        if !std::mem::replace(&mut self.has_joined, true) {
+            sensor.join(truth.time_s);
+        }
+        let zero_ns = stamp.exposure_ns - stamp.stream_ns;
+        let samples = sensor.until(truth.time_s + truth.exposure_s / 2.0, zero_ns);
+        Some((ImuHeader { sent_ns: now_ns, epoch: 0, generation: self.generation }, samples))
+    }
+}
+
+#[cfg(test)]
+mod tests;
