@@ -1,5 +1,6 @@
-//! Coded pictures as files and cameras have them, made Annex B's byte stream (ITU-T H.264 and H.265), with the
-//! parameter sets before each key frame. No picture is coded anew: the decoder gives the same pixels.
+//! Coded pictures as files and cameras have them, made Annex B's byte stream (ITU-T H.264 and
+//! H.265), with the parameter sets before each key frame. No picture is coded anew: the decoder
+//! gives the same pixels.
 
 use flockeye_contract::VideoCodec;
 
@@ -11,7 +12,7 @@ pub(crate) struct ByteStream {
     codec: VideoCodec,
     /// Each unit has its length before it, in so many bytes; `None`: it is a byte stream already.
     length_bytes: Option<usize>,
-    /// The parameter sets that hold, without start codes.
+    /// The parameter sets that are valid, without start codes.
     sets: Vec<Vec<u8>>,
 }
 
@@ -27,8 +28,8 @@ enum Unit {
 }
 
 impl ByteStream {
-    /// Of a stream whose `codec_data` say how units are told apart (ISO/IEC 14496-15, `avcC` and `hvcC`); without
-    /// them it is a byte stream.
+    /// The converter of a stream whose `codec_data` describe how units are told apart (ISO/IEC
+    /// 14496-15, `avcC` and `hvcC`); without them it is a byte stream.
     pub(crate) fn new(codec: VideoCodec, codec_data: Option<&[u8]>) -> Result<Self, String> {
         let (length_bytes, sets) = match codec_data {
             None => (None, Vec::new()),

@@ -1,10 +1,11 @@
-//! Which frame of which epoch a picture is, and what lies between two of them. It holds no port and no
-//! clock.
+//! Which frame of which epoch a picture is, and what lies between two of them. It has no port and
+//! no clock.
 
-use flockeye_config::Flow;
-use flockeye_contract::FrameStamp;
+use flockeye_config::{Flow, Resolved};
+use flockeye_contract::{FrameHeader, FrameStamp, PixelFormat, Projection, Range, Transfer};
+use flockeye_convert::projection_of;
 
-/// When a picture was taken, as its source says.
+/// When a picture was taken, as its source reports.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct PictureTime {
     /// Its number since the source was opened, of those that it gave.
@@ -17,37 +18,71 @@ pub struct PictureTime {
     pub exposure_ns: i64,
 }
 
-/// A frame that is to be published.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Stamped {
-    /// Its stamp.
-    pub stamp: FrameStamp,
-    /// Frames of the source that were left out before it, because a newer one had come.
-    pub dropped: u64,
+/// What is known of a picture.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PictureFacts {
+    /// When it was taken.
+    pub time: PictureTime,
+    /// Its columns and rows.
+    pub size_px: (u32, u32),
+    /// The range of its code values.
+    pub range: Range,
+    /// Exposure time and readout time of a recorded flight's frame, nanoseconds.
+    pub recorded_ns: Option<(u64, u64)>,
+}
+
+/// What all frames of a source have in common.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct FrameSettings {
+    /// How frames flow.
+    pub flow: Flow,
+    /// The generation of this stage.
+    pub generation: u32,
+    /// The camera's curve, and its gamma.
+    pub transfer: (Transfer, f32),
+    /// The camera's projection.
+    pub projection: Projection,
+    /// Time between the first and the last row, nanoseconds.
+    pub readout_ns: u64,
+}
+
+impl FrameSettings {
+    /// The settings of a configuration, in generation `generation` of this stage.
+    pub fn of(resolved: &Resolved, generation: u32) -> Self {
+        Self {
+            flow: resolved.pipeline.flow(),
+            generation,
+            transfer: resolved.transfer,
+            projection: projection_of(&resolved.camera),
+            readout_ns: (resolved.pipeline.camera.readout_ms * 1e6) as u64,
+        }
+    }
 }
 
 /// What capture keeps between frames.
 #[derive(Debug, Clone)]
 pub struct Core {
-    flow: Flow,
-    generation: u32,
+    settings: FrameSettings,
     epoch: u32,
     next_sequence: u64,
     has_ended: bool,
 }
 
 impl Core {
-    /// A core of generation `generation` of this stage, before the first frame.
-    pub fn new(flow: Flow, generation: u32) -> Self {
-        Self { flow, generation, epoch: 0, next_sequence: 0, has_ended: false }
+    /// A core before the first frame.
+    pub fn new(settings: FrameSettings) -> Self {
+        Self { settings, epoch: 0, next_sequence: 0, has_ended: false }
     }
 
-    /// The stamp of a picture that is published at `published_ns`. In lossless flow its exposure is its
-    /// stream time, so that filters see the recording's clock.
-    pub fn on_picture(&mut self, time: PictureTime, published_ns: i64) -> Stamped {
+    /// The header of a picture that is published at `published_ns`, and how many frames the source
+    /// left out before it because a newer one had come. In lossless flow a picture's exposure is
+    /// its stream time, so that filters see the recording's clock.
+    pub fn on_picture(&mut self, picture: &PictureFacts, published_ns: i64) -> (FrameHeader, u64) {
+        let PictureFacts { time, size_px: (width, height), range, recorded_ns } = *picture;
+        let FrameSettings { flow, generation, transfer, projection, readout_ns } = self.settings;
         let dropped = time.sequence.saturating_sub(self.next_sequence);
         self.next_sequence = time.sequence.saturating_add(1);
-        let exposure_ns = match self.flow {
+        let exposure_ns = match flow {
             Flow::Latest => time.exposure_ns,
             Flow::Lossless => time.stream_ns,
         };
@@ -57,9 +92,23 @@ impl Core {
             stream_ns: time.stream_ns,
             published_ns,
             epoch: self.epoch,
-            source_generation: self.generation,
+            source_generation: generation,
         };
-        Stamped { stamp, dropped }
+        let (exposure_time_ns, readout_ns) = recorded_ns.unwrap_or((0, readout_ns));
+        let header = FrameHeader {
+            stamp,
+            exposure_time_ns,
+            readout_ns,
+            width,
+            height,
+            stride: width,
+            pixel_format: PixelFormat::Gray8.code(),
+            transfer: transfer.0.code(),
+            gamma: transfer.1,
+            range: range.code(),
+            projection: projection.code(),
+        };
+        (header, dropped)
     }
 
     /// The source counts from 0 again: it loops, or was opened again.
@@ -88,43 +137,54 @@ impl Core {
 mod tests {
     use super::*;
 
-    fn time(sequence: u64) -> PictureTime {
+    fn core(flow: Flow, generation: u32) -> Core {
+        let (transfer, projection) = ((Transfer::Srgb, 0.0), Projection::Equirectangular);
+        Core::new(FrameSettings { flow, generation, transfer, projection, readout_ns: 7 })
+    }
+
+    fn picture(sequence: u64) -> PictureFacts {
         let stream_ns = 40 * sequence as i64;
-        PictureTime { sequence, number: sequence, stream_ns, exposure_ns: 1000 + stream_ns }
+        let exposure_ns = 1000 + stream_ns;
+        let time = PictureTime { sequence, number: sequence, stream_ns, exposure_ns };
+        PictureFacts { time, size_px: (8, 4), range: Range::Full, recorded_ns: None }
     }
 
     #[test]
     fn frames_left_out_by_the_source_are_counted_once() {
-        let mut core = Core::new(Flow::Latest, 3);
+        let mut core = core(Flow::Latest, 3);
         let dropped: Vec<u64> =
-            [0, 1, 4, 5].map(|sequence| core.on_picture(time(sequence), 0).dropped).into();
+            [0, 1, 4, 5].map(|sequence| core.on_picture(&picture(sequence), 0).1).into();
         assert_eq!(dropped, [0, 0, 2, 0]);
     }
 
     #[test]
     fn frames_of_a_recorded_flight_keep_their_numbers_and_nothing_is_left_out() {
-        let mut core = Core::new(Flow::Latest, 0);
+        let mut core = core(Flow::Latest, 0);
         for (sequence, number) in [(0, 30), (1, 60), (2, 90)] {
-            let Stamped { stamp, dropped } =
-                core.on_picture(PictureTime { number, ..time(sequence) }, 0);
-            assert_eq!((stamp.sequence, dropped), (number, 0));
+            let mut flown = picture(sequence);
+            flown.time.number = number;
+            flown.recorded_ns = Some((5, 9));
+            let (header, dropped) = core.on_picture(&flown, 0);
+            assert_eq!((header.stamp.sequence, dropped), (number, 0));
+            assert_eq!((header.exposure_time_ns, header.readout_ns), (5, 9));
         }
     }
 
     #[test]
     fn a_new_epoch_counts_from_zero_and_drops_nothing() {
-        let mut core = Core::new(Flow::Latest, 3);
-        core.on_picture(time(7), 0);
+        let mut core = core(Flow::Latest, 3);
+        core.on_picture(&picture(7), 0);
         core.begin_epoch();
-        let Stamped { stamp, dropped } = core.on_picture(time(0), 2000);
+        let (FrameHeader { stamp, readout_ns, .. }, dropped) = core.on_picture(&picture(0), 2000);
+        assert_eq!(readout_ns, 7, "the configured one");
         assert_eq!((stamp.order(), dropped), ((3, 1, 0), 0));
         assert_eq!((stamp.exposure_ns, stamp.published_ns), (1000, 2000));
     }
 
     #[test]
     fn lossless_exposures_are_stream_times() {
-        let mut core = Core::new(Flow::Lossless, 0);
-        let Stamped { stamp, .. } = core.on_picture(time(2), 9);
+        let mut core = core(Flow::Lossless, 0);
+        let (FrameHeader { stamp, .. }, _) = core.on_picture(&picture(2), 9);
         assert_eq!((stamp.exposure_ns, stamp.stream_ns), (80, 80));
         assert!(!core.has_ended());
         core.end();

@@ -8,22 +8,22 @@ use crate::parameters::{Paced, SourceParameters};
 
 /// How a software decoder uses several processors.
 ///
-/// libav's decoders can decode several frames at a time. That makes use of all processors, and holds
-/// back one frame for each further one. Or they decode the slices of a frame at a time, which
-/// holds none back, and is as fast only if the stream has several slices. Left alone they do the first
-/// unless the source says that it is live, and not every camera's driver says so.
+/// libav's decoders can decode several frames at a time. That makes use of all processors, and
+/// holds back one frame for each further one. Or they decode the slices of a frame at a time, which
+/// holds none back, and is as fast only if the stream has several slices. Left alone they do the
+/// first unless the source announces that it is live, and not every camera's driver does.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Threading {
-    /// The decoder chooses, with so many threads; 0 leaves that to it too.
+    /// The decoder chooses, with this many threads; 0 leaves that to it too.
     Chosen(u32),
     /// Slices of one frame at a time.
     Slices,
-    /// So many frames at a time.
+    /// This many frames at a time.
     Frames(u32),
 }
 
 impl Threading {
-    /// For an input, with the threads that are configured.
+    /// The way for an input, with the threads that are configured.
     pub(crate) fn of(input: &Input, params: &SourceParameters) -> Self {
         match (params.flow, input.is_camera(), params.decoder_threads) {
             (Paced::RealTime, true, 0) => Self::Slices,
@@ -32,7 +32,8 @@ impl Threading {
         }
     }
 
-    /// What decodes faster than this and holds one frame more back; `None` if no processor is left for it.
+    /// The way that is faster than this and keeps one more frame inside; `None` if no processor is
+    /// left for it.
     pub(crate) fn faster(self, processors: u32) -> Option<Self> {
         let frames = match self {
             Self::Frames(frames) => frames + 1,
@@ -80,7 +81,8 @@ pub(crate) fn chosen(pipeline: &gst::Pipeline) -> Vec<String> {
     in_use(pipeline).into_iter().filter_map(name).collect()
 }
 
-/// Whether one of the decoders in use takes video: anything but single pictures, as JPEG and PNG are.
+/// Whether one of the decoders in use takes video: anything but single pictures, as JPEG and PNG
+/// are.
 pub(crate) fn takes_video(pipeline: &gst::Pipeline) -> bool {
     let takes_images = |element: &gst::Element| {
         let caps = element.static_pad("sink").and_then(|pad| pad.current_caps());

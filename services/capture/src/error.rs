@@ -42,10 +42,10 @@ pub enum CaptureError {
     Unreadable {
         /// The file or folder.
         path: PathBuf,
-        /// What the system says.
+        /// The system's message.
         reason: String,
     },
-    /// The file holds no video that can be played.
+    /// The file has no video that can be played.
     #[error("{} is not a video: {reason}", path.display())]
     NotAVideo {
         /// The file.
@@ -67,7 +67,7 @@ pub enum CaptureError {
         /// What it has instead.
         reason: String,
     },
-    /// The folder holds no image.
+    /// The folder has no image.
     #[error("{} holds no image. Cure: put .jpg, .jpeg or .png files in it", path.display())]
     EmptyFolder {
         /// The folder.
@@ -96,7 +96,7 @@ pub enum CaptureError {
     Description {
         /// As written.
         description: String,
-        /// What GStreamer says.
+        /// GStreamer's message.
         reason: String,
     },
     /// Frames are not of the size that was configured.

@@ -1,4 +1,4 @@
-//! What a source has to say.
+//! What comes out of a source.
 
 use std::fmt;
 use std::time::Duration;
@@ -19,8 +19,8 @@ pub enum Event {
     },
     /// In a recording of a flight, the source began anew. Raise the epoch.
     NewEpoch,
-    /// One image of a folder, or one picture of a recording of a flight, could not be used; the others go on. Its
-    /// sequence number stays free.
+    /// An image of a folder, or a picture of a recording of a flight, could not be used; the others
+    /// go on. Its sequence number stays free.
     Skipped {
         /// Which one.
         what: String,
@@ -40,7 +40,7 @@ pub enum Event {
         /// When the next attempt is made.
         retry_in: Duration,
     },
-    /// A recording is over. Every later call says so again.
+    /// A recording is over. Every later call gives this again.
     End(EndReason),
 }
 

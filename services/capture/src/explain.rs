@@ -10,7 +10,7 @@ use crate::input::Input;
 /// An error from the pipeline's bus.
 #[derive(Debug, Clone)]
 pub(crate) struct Failure {
-    /// What GStreamer says.
+    /// GStreamer's message.
     pub(crate) error: gst::glib::Error,
     /// What a missing plugin would have decoded.
     pub(crate) undecodable: Option<String>,

@@ -1,4 +1,4 @@
-//! What can be said of a file before GStreamer sees it.
+//! Checks of a file before GStreamer gets it.
 //!
 //! Two kinds of broken files are found here because decoders are silent about them.
 
@@ -23,7 +23,7 @@ pub(crate) fn check(path: &Path) -> Result<(), CaptureError> {
     })?;
     let mut head = [0; 8];
     if file.read_exact(&mut head).is_err() {
-        // Too short for either kind; GStreamer says what it is not.
+        // The file is too short for either kind; GStreamer names what is wrong.
         return Ok(());
     }
     let broken = |error: io::Error| unreadable(error.to_string());

@@ -10,9 +10,9 @@ use crate::file;
 use crate::input::Input;
 use crate::parameters::{Paced, SourceParameters};
 use crate::picture::{Picture, PictureStamp};
-use crate::playback::{Playback, Step};
+use crate::playback::{Playback, PlaybackEvent};
 
-/// What a folder has to say.
+/// What a folder gives next.
 #[derive(Debug)]
 pub(crate) enum FolderStep {
     Picture(Picture),
@@ -156,17 +156,18 @@ fn is_image(file: &Path) -> bool {
     ["jpg", "jpeg", "png"].iter().any(|known| extension.eq_ignore_ascii_case(known))
 }
 
-/// Decodes one image, or says why it cannot be used.
+/// Decodes one image. The error is the reason why it cannot be used.
 fn decode(path: &Path, params: &SourceParameters) -> Result<Picture, String> {
     file::check(path).map_err(|error| error.to_string())?;
     let lossless = SourceParameters { flow: Paced::Lossless, ..params.clone() };
     let mut playback = Playback::recording(Input::File(path.to_owned()), &lossless)
         .map_err(|error| error.to_string())?;
     match playback.next(Duration::from_secs(20)).map_err(|error| error.to_string())? {
-        Step::Picture(picture) => Ok(picture),
-        Step::Over { fault: Some(fault) } => Err(fault),
-        Step::Over { fault: None } | Step::Idle | Step::Late(_) | Step::Behind { .. } => {
-            Err("no picture came out of it".to_owned())
-        }
+        PlaybackEvent::Picture(picture) => Ok(picture),
+        PlaybackEvent::Over { fault: Some(fault) } => Err(fault),
+        PlaybackEvent::Over { fault: None }
+        | PlaybackEvent::Idle
+        | PlaybackEvent::Late(_)
+        | PlaybackEvent::Behind { .. } => Err("no picture came out of it".to_owned()),
     }
 }

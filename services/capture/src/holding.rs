@@ -1,9 +1,10 @@
 //! Whether the decoder holds frames back, and whether it keeps up.
 //!
-//! Coded frames are counted into the decoder and pictures out of it, by their time stamps. A decoder that
-//! gives each picture as soon as it has its data has none inside at that moment. One that decodes several
-//! frames at a time, or waits for a picture that is to be shown earlier, always has some. Frames that wait
-//! before the decoder, ever longer, say that it does not keep up.
+//! Coded frames are counted into the decoder and pictures out of it, by their time stamps. A
+//! decoder that gives each picture as soon as it has its data has none inside at that moment. One
+//! that decodes several frames at a time, or waits for a picture that is to be shown earlier,
+//! always has some. Frames that wait before the decoder, ever longer, show that it does not keep
+//! up.
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -12,23 +13,24 @@ use std::time::Duration;
 use gstreamer as gst;
 use gstreamer::prelude::*;
 
+use crate::arrivals::Arrivals;
 use crate::clock::monotonic_ns;
 use crate::decoder;
-use crate::pipeline::Arrivals;
 
-/// Pictures over which frames inside are counted: what is inside at each of them is held back. That is a
-/// second at 30 pictures a second.
+/// Pictures over which frames inside are counted: what is inside at each of them is held back. That
+/// is a second at 30 pictures a second.
 const WINDOW: u32 = 30;
-/// Of a window, so many pictures must be known by their time stamp: some streams stamp anew in the decoder.
+/// Pictures of a window that must be known by their time stamp: some streams stamp anew in the
+/// decoder.
 const MATCHED: u32 = 24;
-/// No decoder holds so many: their time stamps are others than those of the pictures.
+/// Frames inside that no decoder has: their time stamps are others than those of the pictures.
 const MOST_INSIDE: usize = 64;
-/// Frames that wait before the decoder by so much longer than at first are too many for it.
+/// Increase of the wait before the decoder that shows that frames are too many for it.
 const BEHIND_NS: i64 = 100_000_000;
 
-/// What was noticed of a decoder.
+/// What is wrong with a decoder.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Noticed {
+pub(crate) enum DecoderFault {
     /// It holds frames back.
     Holds {
         /// How many, at least.
@@ -42,10 +44,11 @@ pub(crate) enum Noticed {
     IsBehind(Duration),
 }
 
-/// Counts the frames of one pipeline's decoders, each for itself: a description may have several in a row.
+/// Counts the frames of one pipeline's decoders, each for itself: a description may have several in
+/// a row.
 #[derive(Debug)]
 pub(crate) struct DecoderWatch {
-    counts: Mutex<Vec<Arc<Mutex<Count>>>>,
+    counts: Mutex<Vec<Arc<Mutex<FrameCount>>>>,
     arrivals: Arc<Arrivals>,
 }
 
@@ -58,7 +61,7 @@ impl DecoderWatch {
     pub(crate) fn attach(self: &Arc<Self>, element: &gst::Element) {
         let pads = (element.static_pad("sink"), element.static_pad("src"));
         let (true, (Some(sink), Some(src))) = (decoder::is_decoder(element), pads) else { return };
-        let count = Arc::new(Mutex::new(Count::default()));
+        let count = Arc::new(Mutex::new(FrameCount::default()));
         locked(&self.counts).push(Arc::clone(&count));
         let (watch, entering) = (Arc::clone(self), Arc::clone(&count));
         sink.add_probe(gst::PadProbeType::BUFFER, move |_, info| {
@@ -78,7 +81,7 @@ impl DecoderWatch {
     }
 
     /// What was noticed since the last call.
-    pub(crate) fn take(&self) -> Option<Noticed> {
+    pub(crate) fn take(&self) -> Option<DecoderFault> {
         locked(&self.counts).iter().find_map(|count| locked(count).noticed.pop_front())
     }
 }
@@ -90,22 +93,22 @@ fn locked<T>(lock: &Mutex<T>) -> MutexGuard<'_, T> {
 
 /// What is counted.
 #[derive(Debug, Default)]
-struct Count {
+struct FrameCount {
     /// Frames that went in and have not come out, in that order.
     inside: VecDeque<gst::ClockTime>,
     newest: Option<gst::ClockTime>,
     reordered: bool,
-    window: Option<Window>,
+    window: Option<CountWindow>,
     windows: u32,
     /// How long frames waited when all was well.
     usual_wait_ns: Option<i64>,
     has_said_held: bool,
     has_said_behind: bool,
-    noticed: VecDeque<Noticed>,
+    noticed: VecDeque<DecoderFault>,
 }
 
 #[derive(Debug)]
-struct Window {
+struct CountWindow {
     begun_ns: i64,
     pictures: u32,
     matched: u32,
@@ -113,7 +116,7 @@ struct Window {
     least_wait_ns: Option<i64>,
 }
 
-impl Count {
+impl FrameCount {
     /// A coded frame goes in, `waited_ns` after it arrived, where that is known.
     fn enter(&mut self, pts: gst::ClockTime, waited_ns: Option<i64>) {
         self.reordered |= self.newest.is_some_and(|newest| pts < newest);
@@ -137,20 +140,20 @@ impl Count {
         self.inside.retain(|inside| *inside > pts);
         let held = self.inside.len();
         let Some(window) = &mut self.window else {
-            self.window = Some(Window::begin(now_ns));
+            self.window = Some(CountWindow::begin(now_ns));
             return;
         };
         window.pictures += 1;
         window.matched += u32::from(is_known);
         window.least_held = window.least_held.min(held);
         if window.pictures == WINDOW
-            && let Some(window) = self.window.replace(Window::begin(now_ns))
+            && let Some(window) = self.window.replace(CountWindow::begin(now_ns))
         {
             self.judge(&window, now_ns);
         }
     }
 
-    fn judge(&mut self, window: &Window, now_ns: i64) {
+    fn judge(&mut self, window: &CountWindow, now_ns: i64) {
         self.windows += 1;
         // While it starts, anything may happen.
         if self.windows == 1 {
@@ -163,19 +166,19 @@ impl Count {
             let each_ns = (now_ns - window.begun_ns).max(0).unsigned_abs() / u64::from(WINDOW);
             let delay = Duration::from_nanos(each_ns * frames as u64);
             let reordered = self.reordered;
-            self.noticed.push_back(Noticed::Holds { frames, delay, reordered });
+            self.noticed.push_back(DecoderFault::Holds { frames, delay, reordered });
         }
         let Some(wait_ns) = window.least_wait_ns else { return };
         let usual_ns = *self.usual_wait_ns.get_or_insert(wait_ns);
         if wait_ns - usual_ns > BEHIND_NS && !self.has_said_behind {
             self.has_said_behind = true;
             let behind = Duration::from_nanos((wait_ns - usual_ns).unsigned_abs());
-            self.noticed.push_back(Noticed::IsBehind(behind));
+            self.noticed.push_back(DecoderFault::IsBehind(behind));
         }
     }
 }
 
-impl Window {
+impl CountWindow {
     fn begin(begun_ns: i64) -> Self {
         Self { begun_ns, pictures: 0, matched: 0, least_held: usize::MAX, least_wait_ns: None }
     }
@@ -193,8 +196,8 @@ mod tests {
     }
 
     /// A decoder that gives each frame when `after` later ones are in.
-    fn delayed(after: i64) -> Count {
-        let mut count = Count::default();
+    fn delayed(after: i64) -> FrameCount {
+        let mut count = FrameCount::default();
         for frame in 0..100 {
             count.enter(pts(frame), Some(1_000_000));
             if frame >= after {
@@ -210,7 +213,8 @@ mod tests {
     fn what_a_decoder_holds_back_is_said_once() {
         assert!(delayed(0).noticed.is_empty());
         let noticed = delayed(3).noticed;
-        let Some(Noticed::Holds { frames: 3, delay, reordered: false }) = noticed.front() else {
+        let Some(DecoderFault::Holds { frames: 3, delay, reordered: false }) = noticed.front()
+        else {
             panic!("{noticed:?}");
         };
         assert_eq!((noticed.len(), delay.as_millis()), (1, 99));
@@ -218,7 +222,7 @@ mod tests {
 
     #[test]
     fn frames_that_rest_on_later_ones_are_noticed_as_such() {
-        let mut count = Count::default();
+        let mut count = FrameCount::default();
         let mut out = 0;
         // Each third frame comes before the two that are shown before it.
         for group in 0..40 {
@@ -232,15 +236,17 @@ mod tests {
             count.leave(pts(out), out * STEP_NS);
             out += 1;
         }
-        // The last of each group is out as soon as the group is in; the first ones have the last inside.
+        // The last of each group is out as soon as the group is in; the first ones have the last
+        // inside.
         assert!(count.reordered && count.noticed.is_empty(), "{:?}", count.noticed);
         assert!(!delayed(3).reordered);
     }
 
     #[test]
     fn frames_that_wait_for_an_order_that_is_never_used_up_are_noticed() {
-        let mut count = Count::default();
-        // Coded in groups of three, the last first; the decoder gives nothing before three are inside.
+        let mut count = FrameCount::default();
+        // Coded in groups of three, the last first; the decoder gives nothing before three are
+        // inside.
         let coded = (0..40).flat_map(|group| [3 * group + 2, 3 * group, 3 * group + 1]);
         for (out, frame) in coded.enumerate() {
             count.enter(pts(frame), None);
@@ -248,8 +254,8 @@ mod tests {
                 count.leave(pts(out as i64), out as i64 * STEP_NS);
             }
         }
-        let noticed: Vec<Noticed> = count.noticed.into();
-        let [Noticed::Holds { frames, reordered: true, .. }] = noticed[..] else {
+        let noticed: Vec<DecoderFault> = count.noticed.into();
+        let [DecoderFault::Holds { frames, reordered: true, .. }] = noticed[..] else {
             panic!("{noticed:?}");
         };
         assert!((2..=3).contains(&frames), "{frames}");
@@ -257,7 +263,7 @@ mod tests {
 
     #[test]
     fn frames_that_are_lost_or_stamped_anew_are_not_held() {
-        let mut count = Count::default();
+        let mut count = FrameCount::default();
         for frame in 0..200 {
             count.enter(pts(frame), None);
             // One in five is broken: nothing comes out for it. The rest is given at once.
@@ -265,7 +271,7 @@ mod tests {
                 count.leave(pts(frame), frame * STEP_NS);
             }
         }
-        let mut anew = Count::default();
+        let mut anew = FrameCount::default();
         for frame in 0..200 {
             anew.enter(pts(frame), None);
             anew.leave(pts(frame + 1_000_000), frame * STEP_NS);
@@ -277,7 +283,7 @@ mod tests {
     #[test]
     fn a_decoder_that_does_not_keep_up_is_noticed() {
         let waiting = |of: fn(i64) -> i64| {
-            let mut count = Count::default();
+            let mut count = FrameCount::default();
             for frame in 0..300 {
                 count.enter(pts(frame), Some(of(frame)));
                 count.leave(pts(frame), frame * STEP_NS);
@@ -287,7 +293,7 @@ mod tests {
         // An encoder in between may take its time, as long as it is always the same.
         assert!(waiting(|_| 500_000_000).is_empty());
         let noticed = waiting(|frame| 2_000_000 * frame);
-        let Some(Noticed::IsBehind(by)) = noticed.front() else { panic!("{noticed:?}") };
+        let Some(DecoderFault::IsBehind(by)) = noticed.front() else { panic!("{noticed:?}") };
         assert!(noticed.len() == 1 && by.as_millis() > 100, "{noticed:?}");
     }
 }

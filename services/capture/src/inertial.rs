@@ -1,10 +1,10 @@
-//! A recording's inertial sensor: the samples of a CSV file or of a recorded flight, sent with the frames that they
-//! belong to.
+//! A recording's inertial sensor: the samples of a CSV file or of a recorded flight, sent with the
+//! frames that they belong to.
 
 use std::path::Path;
 
 use crate::Picture;
-use crate::tape::{Epoch, TapeSample};
+use crate::recorded_flight::FlightClock;
 use anyhow::Context as _;
 use flockeye_config::{InertialSource, Pipeline};
 use flockeye_contract::{FrameStamp, ImuHeader, ImuSample, Imus, MAX_IMU_SAMPLES};
@@ -12,71 +12,35 @@ use flockeye_runtime::clock;
 use flockeye_runtime::ports::{Ports, Publisher};
 use flockeye_tables::ImuRow;
 
-/// Samples reach so far beyond an exposure, seconds, besides `camera.latency_ms`: what has been measured when
-/// the picture is there.
+/// Reach of the samples beyond an exposure, seconds, besides `camera.latency_ms`: what has been
+/// measured when the picture is there.
 const BEYOND_S: f64 = 0.01;
 
 /// The samples of a recording, between frames.
 #[derive(Debug)]
-pub struct RecordedSensor {
+pub(crate) struct RecordedSensor {
     rows: Vec<ImuRow>,
     /// The next row to send.
     next: usize,
     epoch: u32,
-    /// What is to be added to the sensor's time to get the camera's, seconds.
+    /// Offset from the sensor's time to the camera's, seconds.
     time_offset_s: f64,
     latency_s: f64,
 }
 
 /// Where samples come from.
-enum Sensor {
+enum SampleSource {
     /// A file beside the recording.
     File(RecordedSensor),
     /// The recording itself: they come with its pictures.
     Flight(FlightClock),
 }
 
-/// The epochs of a recorded flight's sensor, counted anew.
-#[derive(Debug, Default)]
-struct FlightClock {
-    epoch: u32,
-    /// That of the sample before, in the recording.
-    recorded: Option<Epoch>,
-}
-
 /// The sensor, and its port.
-pub struct InertialPort {
-    sensor: Sensor,
+pub(crate) struct InertialPort {
+    sensor: SampleSource,
     imus: Publisher<Imus>,
     generation: u32,
-}
-
-impl FlightClock {
-    /// The samples of a picture on the clock of its frame, each row of them of one epoch.
-    fn samples_of(&mut self, picture: &Picture, stamp: &FrameStamp) -> Vec<(u32, Vec<ImuSample>)> {
-        let Some(recorded) = picture.recorded() else { return Vec::new() };
-        self.on_clock(&recorded.samples, recorded.header.stamp.exposure_ns, stamp.exposure_ns)
-    }
-
-    fn on_clock(
-        &mut self,
-        samples: &[TapeSample],
-        recorded_ns: i64,
-        played_ns: i64,
-    ) -> Vec<(u32, Vec<ImuSample>)> {
-        let mut rows: Vec<(u32, Vec<ImuSample>)> = Vec::new();
-        for TapeSample { epoch, sample } in samples {
-            let begins = self.recorded.replace(*epoch).is_some_and(|before| before != *epoch);
-            self.epoch += u32::from(begins);
-            let at_ns = sample.at_ns.saturating_sub(recorded_ns).saturating_add(played_ns);
-            let sample = ImuSample { at_ns, ..*sample };
-            match rows.last_mut() {
-                Some((of, row)) if *of == self.epoch => row.push(sample),
-                _ => rows.push((self.epoch, vec![sample])),
-            }
-        }
-        rows
-    }
 }
 
 impl RecordedSensor {
@@ -84,7 +48,7 @@ impl RecordedSensor {
     ///
     /// # Errors
     /// The file cannot be read, is empty, or its times do not rise.
-    pub fn read(path: &Path, pipeline: &Pipeline) -> anyhow::Result<Self> {
+    pub(crate) fn read(path: &Path, pipeline: &Pipeline) -> anyhow::Result<Self> {
         let rows: Vec<ImuRow> = flockeye_tables::read(path).context("inertial.source")?;
         anyhow::ensure!(!rows.is_empty(), "inertial.source: {} has no samples", path.display());
         if let Some(k) = rows.windows(2).position(|pair| pair[1].t_s <= pair[0].t_s) {
@@ -105,14 +69,14 @@ impl RecordedSensor {
     }
 
     /// The recording begins again.
-    pub fn begin_epoch(&mut self) {
+    pub(crate) fn begin_epoch(&mut self) {
         self.next = 0;
         self.epoch += 1;
     }
 
-    /// The samples that have been measured when a frame is there and that were not sent yet, on the frame's
-    /// clock.
-    pub fn until(&mut self, stamp: &FrameStamp) -> Vec<ImuSample> {
+    /// The samples that have been measured when a frame is there and that were not sent yet, on the
+    /// frame's clock.
+    pub(crate) fn until(&mut self, stamp: &FrameStamp) -> Vec<ImuSample> {
         let until_s = stamp.stream_ns as f64 * 1e-9 + self.latency_s + BEYOND_S;
         let zero_ns = stamp.exposure_ns - stamp.stream_ns;
         let rest = self.rows.get(self.next..).unwrap_or_default();
@@ -134,29 +98,34 @@ impl InertialPort {
     ///
     /// # Errors
     /// As [`RecordedSensor::read`], or the port cannot be opened.
-    pub fn open(
+    pub(crate) fn open(
         pipeline: &Pipeline,
         generation: u32,
         ports: &mut Ports,
     ) -> anyhow::Result<Option<Self>> {
         let sensor = match pipeline.inertial.parsed_source() {
             Ok(InertialSource::Recorded(path)) => {
-                Sensor::File(RecordedSensor::read(&path, pipeline)?)
+                SampleSource::File(RecordedSensor::read(&path, pipeline)?)
             }
-            Ok(InertialSource::Recording) => Sensor::Flight(FlightClock::default()),
+            Ok(InertialSource::Recording) => SampleSource::Flight(FlightClock::default()),
             _ => return Ok(None),
         };
         Ok(Some(Self { sensor, imus: ports.publisher()?, generation }))
     }
 
-    /// Sends what has been measured when a frame is there: before the frame, so that egomotion has it first.
+    /// Sends what has been measured when a frame is there: before the frame, so that egomotion has
+    /// it first.
     ///
     /// # Errors
     /// The port's.
-    pub fn send_before(&mut self, picture: &Picture, stamp: &FrameStamp) -> anyhow::Result<()> {
+    pub(crate) fn send_before(
+        &mut self,
+        picture: &Picture,
+        stamp: &FrameStamp,
+    ) -> anyhow::Result<()> {
         let rows = match &mut self.sensor {
-            Sensor::File(sensor) => vec![(sensor.epoch, sensor.until(stamp))],
-            Sensor::Flight(clock) => clock.samples_of(picture, stamp),
+            SampleSource::File(sensor) => vec![(sensor.epoch, sensor.until(stamp))],
+            SampleSource::Flight(clock) => clock.samples_of(picture, stamp),
         };
         let sent_ns = clock::monotonic_ns();
         for (epoch, samples) in rows {
@@ -169,12 +138,10 @@ impl InertialPort {
     }
 
     /// The recording begins again.
-    pub fn begin_epoch(&mut self) {
+    pub(crate) fn begin_epoch(&mut self) {
         match &mut self.sensor {
-            Sensor::File(sensor) => sensor.begin_epoch(),
-            Sensor::Flight(clock) => {
-                *clock = FlightClock { epoch: clock.epoch + 1, recorded: None }
-            }
+            SampleSource::File(sensor) => sensor.begin_epoch(),
+            SampleSource::Flight(clock) => clock.begin_epoch(),
         }
     }
 }
@@ -222,24 +189,6 @@ mod tests {
         assert_eq!(sent(&mut sensor, stamp(0, 1000)), [980]);
         let mut sensor = read(text, &["camera.latency_ms=20"]).unwrap();
         assert_eq!(sent(&mut sensor, stamp(0, 1000)), [980, 1000, 1020]);
-    }
-
-    #[test]
-    fn samples_of_a_flight_keep_their_distance_to_the_exposure_and_their_epochs() {
-        let of = |epoch, at_ns| TapeSample {
-            epoch,
-            sample: ImuSample { at_ns, ..ImuSample::default() },
-        };
-        let mut clock = FlightClock::default();
-        let mut sent = |samples: &[TapeSample]| -> Vec<(u32, Vec<i64>)> {
-            let rows = clock.on_clock(samples, 1000, 5000);
-            let times = |row: Vec<ImuSample>| row.iter().map(|sample| sample.at_ns).collect();
-            rows.into_iter().map(|(epoch, row)| (epoch, times(row))).collect()
-        };
-        assert_eq!(sent(&[of((0, 3), 990), of((0, 3), 1010)]), [(0, vec![4990, 5010])]);
-        // The sensor began anew, twice.
-        let later = [of((0, 3), 1020), of((0, 4), 30), of((1, 0), 40)];
-        assert_eq!(sent(&later), [(0, vec![5020]), (1, vec![4030]), (2, vec![4040])]);
     }
 
     #[test]

@@ -6,7 +6,7 @@ use gstreamer as gst;
 use gstreamer::prelude::*;
 
 use crate::CaptureError;
-use crate::tape::Coding;
+use crate::recorded_flight::Coding;
 
 /// What one pipeline plays.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -38,8 +38,8 @@ impl Input {
         }
     }
 
-    /// Whether it is a camera by its name. Whether a description is one is known once it runs, except
-    /// for the Theta's driver, which does not say that it is a live source.
+    /// Whether it is a camera by its name. Whether a description is one is known once it runs,
+    /// except for the Theta's driver, which does not announce a live source.
     pub(crate) fn is_camera(&self) -> bool {
         match self {
             Self::V4l2(_) | Self::Theta => true,
@@ -140,7 +140,7 @@ fn described(description: &str) -> Result<(gst::Pipeline, gst::Element), Capture
     Ok((pipeline, decoder))
 }
 
-/// Makes an element, or says what to install.
+/// Makes an element. The error names what to install.
 pub(crate) fn element(name: &str) -> Result<gst::Element, CaptureError> {
     let missing =
         |_| CaptureError::MissingElement { element: name.to_owned(), cure: cure_for(name) };

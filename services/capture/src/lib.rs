@@ -1,5 +1,5 @@
-//! Where frames come from: a camera, a video file, a folder of images or a recording of a flight, read through
-//! GStreamer.
+//! Where frames come from: a camera, a video file, a folder of images or a recording of a flight,
+//! read through GStreamer.
 //!
 //! A [`Source`] hands out luma planes, straight from the decoder's own memory. Markers need no
 //! colour, so nothing is converted that has a luma plane of its own:
@@ -31,6 +31,9 @@
 //! [`Source::next`] takes from it. In [`Paced::RealTime`] the newest frame replaces the one that
 //! nobody took; in [`Paced::Lossless`] the decoder waits until there is room.
 
+#![warn(unreachable_pub)]
+
+mod arrivals;
 mod byte_stream;
 mod census;
 mod clock;
@@ -41,26 +44,27 @@ mod event;
 mod examine;
 mod explain;
 mod file;
-mod flight;
 mod folder;
 mod holding;
-pub mod inertial;
+mod inertial;
 mod input;
-mod jpeg;
 mod mailbox;
+mod packet;
 mod packet_port;
-pub mod packets;
+mod packet_tap;
 mod parameters;
 mod picture;
 mod pipeline;
 mod playback;
+mod recorded_flight;
 mod source;
+mod source_reports;
 mod spec;
-pub mod stage;
-mod tape;
+mod stage;
 
 pub use error::CaptureError;
 pub use event::{EndReason, Event};
+pub use packet::{Packet, PacketWish};
 pub use parameters::{Paced, SourceParameters};
 pub use picture::Picture;
 pub use source::Source;

@@ -15,11 +15,11 @@ pub(crate) enum WhenFull {
 
 /// The mailbox is closed: nobody will take what is put in.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) struct Closed;
+pub(crate) struct MailboxClosed;
 
 /// What the consumer finds.
 #[derive(Debug, PartialEq, Eq)]
-pub(crate) enum Taken<T, F> {
+pub(crate) enum MailboxContent<T, F> {
     /// A frame.
     Item(T),
     /// There will be no more.
@@ -39,12 +39,12 @@ const GRACE: Duration = Duration::from_secs(1);
 pub(crate) struct Mailbox<T, F> {
     room: usize,
     when_full: WhenFull,
-    state: Mutex<State<T, F>>,
+    state: Mutex<MailboxState<T, F>>,
     changed: Condvar,
 }
 
 #[derive(Debug)]
-struct State<T, F> {
+struct MailboxState<T, F> {
     queue: VecDeque<T>,
     ready: bool,
     ended: bool,
@@ -55,7 +55,7 @@ struct State<T, F> {
 impl<T, F: Clone> Mailbox<T, F> {
     /// A mailbox for `room` frames (at least one).
     pub(crate) fn new(room: usize, when_full: WhenFull) -> Self {
-        let state = State {
+        let state = MailboxState {
             queue: VecDeque::new(),
             ready: false,
             ended: false,
@@ -66,7 +66,7 @@ impl<T, F: Clone> Mailbox<T, F> {
     }
 
     /// Leaves a frame.
-    pub(crate) fn put(&self, item: T) -> Result<(), Closed> {
+    pub(crate) fn put(&self, item: T) -> Result<(), MailboxClosed> {
         let mut state = self.lock();
         while state.queue.len() >= self.room && !state.closed {
             match self.when_full {
@@ -77,7 +77,7 @@ impl<T, F: Clone> Mailbox<T, F> {
             }
         }
         if state.closed {
-            return Err(Closed);
+            return Err(MailboxClosed);
         }
         state.queue.push_back(item);
         self.changed.notify_all();
@@ -111,27 +111,27 @@ impl<T, F: Clone> Mailbox<T, F> {
     }
 
     /// Takes a frame, waiting for at most `timeout`.
-    pub(crate) fn take(&self, timeout: Duration) -> Taken<T, F> {
+    pub(crate) fn take(&self, timeout: Duration) -> MailboxContent<T, F> {
         let deadline = Instant::now() + timeout;
         let mut state = self.lock();
         loop {
             if let Some(item) = state.queue.pop_front() {
                 self.changed.notify_all();
-                return Taken::Item(item);
+                return MailboxContent::Item(item);
             }
             let mut until = deadline;
             match (&state.failure, state.ended) {
-                (None, true) => return Taken::Ended,
-                (Some((failure, _)), true) => return Taken::Failed(failure.clone()),
+                (None, true) => return MailboxContent::Ended,
+                (Some((failure, _)), true) => return MailboxContent::Failed(failure.clone()),
                 (Some((failure, since)), false) if since.elapsed() >= GRACE => {
-                    return Taken::Failed(failure.clone());
+                    return MailboxContent::Failed(failure.clone());
                 }
                 (Some((_, since)), false) => until = until.min(*since + GRACE),
                 (None, false) => {}
             }
             let left = until.saturating_duration_since(Instant::now());
             if left.is_zero() && until == deadline {
-                return Taken::TimedOut;
+                return MailboxContent::TimedOut;
             }
             state = self.wait(state, left);
         }
@@ -156,16 +156,16 @@ impl<T, F: Clone> Mailbox<T, F> {
         }
     }
 
-    fn lock(&self) -> MutexGuard<'_, State<T, F>> {
+    fn lock(&self) -> MutexGuard<'_, MailboxState<T, F>> {
         // No code that can panic runs under this lock, so what it guards is whole.
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     fn wait<'a>(
         &self,
-        state: MutexGuard<'a, State<T, F>>,
+        state: MutexGuard<'a, MailboxState<T, F>>,
         time: Duration,
-    ) -> MutexGuard<'a, State<T, F>> {
+    ) -> MutexGuard<'a, MailboxState<T, F>> {
         self.changed.wait_timeout(state, time).unwrap_or_else(PoisonError::into_inner).0
     }
 }
@@ -189,7 +189,10 @@ mod tests {
         (0..5).for_each(|k| mailbox.put(k).unwrap());
         mailbox.end();
         let taken: Vec<_> = (0..3).map(|_| mailbox.take(NOW)).collect();
-        assert_eq!(taken, [Taken::Item(3), Taken::Item(4), Taken::Ended]);
+        assert_eq!(
+            taken,
+            [MailboxContent::Item(3), MailboxContent::Item(4), MailboxContent::Ended]
+        );
     }
 
     #[test]
@@ -203,9 +206,9 @@ mod tests {
             }
         });
         for k in 0..50 {
-            assert_eq!(mailbox.take(LONG), Taken::Item(k));
+            assert_eq!(mailbox.take(LONG), MailboxContent::Item(k));
         }
-        assert_eq!(mailbox.take(LONG), Taken::Ended);
+        assert_eq!(mailbox.take(LONG), MailboxContent::Ended);
         decoder.join().unwrap();
     }
 
@@ -217,7 +220,7 @@ mod tests {
             move || (0..).find_map(|k| mailbox.put(k).err())
         });
         mailbox.close();
-        assert_eq!(decoder.join().unwrap(), Some(Closed));
+        assert_eq!(decoder.join().unwrap(), Some(MailboxClosed));
     }
 
     #[test]
@@ -225,19 +228,19 @@ mod tests {
         let mailbox = mailbox(WhenFull::HoldBack);
         mailbox.fail("cause");
         mailbox.fail("echo");
-        assert_eq!(mailbox.take(NOW), Taken::TimedOut);
+        assert_eq!(mailbox.take(NOW), MailboxContent::TimedOut);
         mailbox.put(7).unwrap();
         mailbox.end();
-        assert_eq!(mailbox.take(NOW), Taken::Item(7));
-        assert_eq!(mailbox.take(NOW), Taken::Failed("cause"));
-        assert_eq!(mailbox.take(NOW), Taken::Failed("cause"));
+        assert_eq!(mailbox.take(NOW), MailboxContent::Item(7));
+        assert_eq!(mailbox.take(NOW), MailboxContent::Failed("cause"));
+        assert_eq!(mailbox.take(NOW), MailboxContent::Failed("cause"));
     }
 
     #[test]
     fn a_failure_without_an_end_is_told_all_the_same() {
         let mailbox = mailbox(WhenFull::HoldBack);
         mailbox.fail("cause");
-        assert_eq!(mailbox.take(LONG), Taken::Failed("cause"));
+        assert_eq!(mailbox.take(LONG), MailboxContent::Failed("cause"));
         assert_eq!(mailbox.wait_ready(LONG), Err("cause"));
     }
 }

@@ -8,13 +8,13 @@ use flockeye_runtime::logs::Throttle;
 use flockeye_runtime::ports::{Ports, Publisher};
 
 use crate::Source;
-use crate::packets::{Packet, PacketWish};
+use crate::packet::{Packet, PacketWish};
 
 /// The port, and who reads there.
-pub struct PacketPort {
+pub(crate) struct PacketPort {
     port: Publisher<Packets>,
     wish: PacketWish,
-    /// So many were there when it was last said that there are no packets.
+    /// Readers that were informed last that there are no packets.
     told: usize,
     flow: Flow,
     latency_ns: i64,
@@ -23,11 +23,11 @@ pub struct PacketPort {
 }
 
 impl PacketPort {
-    /// Opens the port. `wish` says to the source whether somebody reads.
+    /// Opens the port. The source knows by `wish` whether somebody reads.
     ///
     /// # Errors
     /// The port cannot be opened.
-    pub fn open(
+    pub(crate) fn open(
         pipeline: &Pipeline,
         generation: u32,
         wish: PacketWish,
@@ -45,7 +45,7 @@ impl PacketPort {
     ///
     /// # Errors
     /// The port's.
-    pub fn attend(&mut self, source: &Source, epoch: u32) -> anyhow::Result<()> {
+    pub(crate) fn attend(&mut self, source: &Source, epoch: u32) -> anyhow::Result<()> {
         let readers = self.port.readers();
         self.wish.set(readers > 0);
         if readers == 0 {

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use flockeye_config::{AtEnd, Flow, InertialSource, Pipeline};
 
-use crate::packets::PacketWish;
+use crate::packet::PacketWish;
 
 /// Who sets the pace.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -41,8 +41,8 @@ pub struct SourceParameters {
     pub samples: bool,
     /// Whether somebody wants the coded pictures.
     pub packets: PacketWish,
-    /// Threads of the software decoder; 0 leaves it to the decoder. More than 1: as many frames of a
-    /// camera at a time.
+    /// Threads of the software decoder; 0 leaves it to the decoder. More than 1: as many frames of
+    /// a camera at a time.
     pub decoder_threads: u32,
 }
 

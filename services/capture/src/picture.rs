@@ -9,8 +9,8 @@ use gstreamer_video as gst_video;
 use gstreamer_video::prelude::*;
 use gstreamer_video::{VideoColorRange, VideoFormat, VideoTransferFunction};
 
-use crate::core::PictureTime;
-use crate::tape::TapeSample;
+use crate::core::{PictureFacts, PictureTime};
+use crate::recorded_flight::TapeSample;
 
 /// The raw formats whose first plane is 8-bit luma with nothing in between.
 pub(crate) const LUMA_FIRST: &[VideoFormat] = &[
@@ -38,15 +38,16 @@ pub struct Picture {
     stride: usize,
     bytes: usize,
     stamp: PictureStamp,
-    recorded: Option<Box<Recorded>>,
+    recorded: Option<Box<FlightFrame>>,
 }
 
-/// What a recording of a flight says of a picture.
+/// What a recording of a flight has of a picture.
 #[derive(Debug)]
-pub(crate) struct Recorded {
+pub(crate) struct FlightFrame {
     /// Its frame, with its stream time in the time of the recording.
     pub(crate) header: FrameHeader,
-    /// The samples of the inertial sensor that had come when it was there, and not with the one before.
+    /// The samples of the inertial sensor that had come when it was there, and not with the one
+    /// before.
     pub(crate) samples: Vec<TapeSample>,
     /// Its number among the pictures that were there to be handed out.
     pub(crate) sequence: u64,
@@ -64,7 +65,7 @@ pub(crate) struct PictureStamp {
 }
 
 impl Picture {
-    /// Maps a decoded buffer. An error says what is wrong with it.
+    /// Maps a decoded buffer. The error names what is wrong with it.
     pub(crate) fn map(
         buffer: gst::Buffer,
         info: &gst_video::VideoInfo,
@@ -103,6 +104,17 @@ impl Picture {
         &self.luma()[start..start + self.width() as usize]
     }
 
+    /// The facts for a frame's header.
+    pub fn facts(&self) -> PictureFacts {
+        let recorded = self.recorded.as_ref().map(|recorded| &recorded.header);
+        PictureFacts {
+            time: self.time(),
+            size_px: (self.width(), self.height()),
+            range: self.range(),
+            recorded_ns: recorded.map(|header| (header.exposure_time_ns, header.readout_ns)),
+        }
+    }
+
     /// Pixels in a row.
     pub fn width(&self) -> u32 {
         self.frame.width()
@@ -118,8 +130,8 @@ impl Picture {
         self.stride
     }
 
-    /// Which code values stand for black and white, as the stream says. Where it does not say,
-    /// GStreamer's defaults hold: video is limited, gray images are full.
+    /// Which code values stand for black and white, as the stream declares. Where it does not
+    /// declare that, GStreamer's defaults count: video is limited, gray images are full.
     pub fn range(&self) -> Range {
         let recorded = self.recorded.as_ref().map(|recorded| recorded.header.range);
         let recorded = recorded.and_then(|code| Range::try_from(code).ok());
@@ -156,7 +168,7 @@ impl Picture {
         self.stamp.exposure_ns
     }
 
-    /// All that the source says of its time.
+    /// Its times, as the source reports them.
     pub fn time(&self) -> PictureTime {
         match &self.recorded {
             Some(recorded) => PictureTime {
@@ -174,12 +186,12 @@ impl Picture {
         }
     }
 
-    /// What a recording of a flight says of it.
-    pub(crate) fn recorded(&self) -> Option<&Recorded> {
+    /// What a recording of a flight has of it.
+    pub(crate) fn recorded(&self) -> Option<&FlightFrame> {
         self.recorded.as_deref()
     }
 
-    pub(crate) fn set_recorded(&mut self, recorded: Recorded) {
+    pub(crate) fn set_recorded(&mut self, recorded: FlightFrame) {
         self.recorded = Some(Box::new(recorded));
     }
 

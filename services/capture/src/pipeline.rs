@@ -1,6 +1,5 @@
 //! The back part of the pipeline: from the decoder to the mailbox.
 
-use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
@@ -9,6 +8,7 @@ use gstreamer::prelude::*;
 use gstreamer_app as gst_app;
 use gstreamer_video as gst_video;
 
+use crate::arrivals::Arrivals;
 use crate::census::Census;
 use crate::clock::monotonic_ns;
 use crate::decoder::Threading;
@@ -16,13 +16,14 @@ use crate::explain::Failure;
 use crate::holding::DecoderWatch;
 use crate::input::{Input, element};
 use crate::mailbox::Mailbox;
-use crate::packets::{PacketTap, PacketWish};
+use crate::packet::PacketWish;
+use crate::packet_tap::PacketTap;
 use crate::picture::LUMA_FIRST;
 use crate::{CaptureError, decoder};
 
 /// A decoded frame with its times.
 #[derive(Debug)]
-pub(crate) struct Decoded {
+pub(crate) struct DecodedFrame {
     pub(crate) sample: gst::Sample,
     pub(crate) sequence: u64,
     /// Its time stamp.
@@ -38,10 +39,10 @@ pub(crate) struct Decoded {
 }
 
 /// The mailbox between GStreamer's threads and the consumer.
-pub(crate) type Frames = Mailbox<Decoded, Failure>;
+pub(crate) type Frames = Mailbox<DecodedFrame, Failure>;
 
 /// A pipeline that does not run yet.
-pub(crate) struct Built {
+pub(crate) struct PipelineParts {
     pub(crate) pipeline: gst::Pipeline,
     pub(crate) sink: gst_app::AppSink,
     pub(crate) decoders: Arc<DecoderWatch>,
@@ -57,13 +58,13 @@ pub(crate) fn build(
     ahead: u32,
     wish: &PacketWish,
     frames: &Arc<Frames>,
-) -> Result<Built, CaptureError> {
+) -> Result<PipelineParts, CaptureError> {
     let (pipeline, decodebin) = input.pipeline(size)?;
     // The system clock is CLOCK_MONOTONIC, so that the pipeline's times are the machine's.
     pipeline.use_clock(Some(&gst::SystemClock::obtain()));
     decodebin.set_property("caps", gst::Caps::builder("video/x-raw").any_features().build());
     decodebin.set_property("expose-all-streams", false);
-    let arrivals = arrivals_of(&pipeline);
+    let arrivals = Arrivals::of(&pipeline);
     let decoders = DecoderWatch::new(Arc::clone(&arrivals));
     let packets = PacketTap::new(wish.clone());
     // A recorded flight has its packets already.
@@ -101,10 +102,11 @@ pub(crate) fn build(
         }
     });
     watch(&pipeline, Arc::clone(frames));
-    Ok(Built { pipeline, sink, decoders, packets })
+    Ok(PipelineParts { pipeline, sink, decoders, packets })
 }
 
-/// Frames that are farther apart wait one at a time: an error, which overtakes them, must not cost any.
+/// Frames that are farther apart wait one at a time: an error, which overtakes them, must not cost
+/// any.
 const AHEAD_AT_MOST: gst::ClockTime = gst::ClockTime::from_mseconds(200);
 
 /// Where decoded frames wait until the sink takes them, each when it is due: a decoder that needs
@@ -149,7 +151,7 @@ fn sink(frames: Arc<Frames>, arrivals: Arc<Arrivals>, packets: Arc<PacketTap>) -
         .max_buffers(1)
         .callbacks(callbacks)
         .build();
-    // A decoder that is not told that rows may be padded copies each frame into packed rows.
+    // A decoder that does not know that rows may be padded copies each frame into packed rows.
     if let Some(pad) = sink.static_pad("sink") {
         pad.add_probe(gst::PadProbeType::QUERY_DOWNSTREAM, |_, info| {
             match info.query_mut().map(gst::QueryRef::view_mut) {
@@ -170,7 +172,7 @@ fn stamped(
     census: &mut Census,
     arrivals: &Arrivals,
     at_sink_ns: i64,
-) -> Decoded {
+) -> DecodedFrame {
     let pts = sample.buffer().and_then(gst::BufferRef::pts);
     let segment = sample.segment().and_then(|segment| segment.downcast_ref::<gst::ClockTime>());
     let stream = segment.and_then(|segment| segment.to_stream_time(pts)).map(Duration::from);
@@ -186,7 +188,7 @@ fn stamped(
     let due_ns = running
         .zip(sink.base_time())
         .and_then(|(running, base)| i64::try_from((running + base).nseconds()).ok());
-    Decoded {
+    DecodedFrame {
         sample,
         sequence,
         pts,
@@ -251,7 +253,7 @@ fn join(pad: &gst::Pad, pipeline: &gst::Pipeline, end: &gst::Element) -> Result<
     Ok(())
 }
 
-/// Hands what the pipeline's bus says to the mailbox, in the thread that says it.
+/// Hands the messages of the pipeline's bus to the mailbox, in the thread that sends them.
 fn watch(pipeline: &gst::Pipeline, frames: Arc<Frames>) {
     let Some(bus) = pipeline.bus() else { return };
     let undecodable = Mutex::new(None);
@@ -278,50 +280,6 @@ fn watch(pipeline: &gst::Pipeline, frames: Arc<Frames>) {
     });
 }
 
-/// When the camera's coded frames came in, by their time stamps.
-///
-/// Decoding takes a time of its own that varies; what counts is when the data left the camera's
-/// cable. The time stamp, which parsers and decoders pass on, finds it again.
-#[derive(Debug, Default)]
-pub(crate) struct Arrivals(Mutex<VecDeque<(gst::ClockTime, i64)>>);
-
-impl Arrivals {
-    /// More frames than decoders hold, and fewer than a search would notice.
-    const KEPT: usize = 64;
-
-    fn enter(&self, pts: gst::ClockTime, arrival_ns: i64) {
-        let mut entries = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        // A frame may come in pieces; it is here when its last piece is.
-        entries.retain(|&(known, _)| known != pts);
-        if entries.len() >= Self::KEPT {
-            entries.pop_front();
-        }
-        entries.push_back((pts, arrival_ns));
-    }
-
-    pub(crate) fn find(&self, pts: gst::ClockTime) -> Option<i64> {
-        let entries = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        entries.iter().find(|&&(known, _)| known == pts).map(|&(_, arrival_ns)| arrival_ns)
-    }
-}
-
-/// Notes when buffers leave the pipeline's sources.
-fn arrivals_of(pipeline: &gst::Pipeline) -> Arc<Arrivals> {
-    let arrivals = Arc::new(Arrivals::default());
-    let mut sources = pipeline.iterate_sources();
-    while let Ok(Some(source)) = sources.next() {
-        let Some(pad) = source.static_pad("src") else { continue };
-        let noted = Arc::clone(&arrivals);
-        pad.add_probe(gst::PadProbeType::BUFFER, move |_, info| {
-            if let Some(pts) = info.buffer().and_then(|buffer| buffer.pts()) {
-                noted.enter(pts, monotonic_ns());
-            }
-            gst::PadProbeReturn::Ok
-        });
-    }
-    arrivals
-}
-
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used, clippy::expect_used)]
@@ -329,8 +287,8 @@ mod tests {
     use crate::mailbox::WhenFull;
     use std::time::Instant;
 
-    /// How many decoded frames wait before a sink that takes each when it is due, once `expected` do;
-    /// `None` if there is no place for them.
+    /// How many decoded frames wait before a sink that takes each when it is due, once `expected`
+    /// do; `None` if there is no place for them.
     fn waiting(frames_per_second: u32, ahead: u32, expected: u32) -> Option<u32> {
         gst::init().unwrap();
         let frames = Arc::new(Frames::new(1, WhenFull::ReplaceOldest));
@@ -339,7 +297,7 @@ mod tests {
         );
         let input = Input::Description(source);
         let threading = Threading::Chosen(0);
-        let Built { pipeline, sink, .. } =
+        let PipelineParts { pipeline, sink, .. } =
             build(&input, (64, 32), threading, ahead, &PacketWish::default(), &frames).unwrap();
         sink.set_sync(true);
         let is_waiting_room = |element: &gst::Element| {
@@ -364,18 +322,5 @@ mod tests {
         assert_eq!(waiting(30, 4, 4), Some(4));
         assert_eq!(waiting(1, 4, 1), Some(1), "those that are far apart one at a time");
         assert_eq!(waiting(30, 0, 0), None);
-    }
-
-    #[test]
-    fn arrivals_are_found_by_time_stamp_and_forgotten_in_time() {
-        let arrivals = Arrivals::default();
-        let pts = gst::ClockTime::from_mseconds;
-        for k in 0..100 {
-            arrivals.enter(pts(k), k as i64);
-        }
-        arrivals.enter(pts(98), 1_000);
-        assert_eq!(arrivals.find(pts(99)), Some(99));
-        assert_eq!(arrivals.find(pts(98)), Some(1_000));
-        assert_eq!(arrivals.find(pts(0)), None);
     }
 }

@@ -1,4 +1,4 @@
-//! One pipeline from its start to its end.
+//! A pipeline from its start to its end.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -12,23 +12,24 @@ use gstreamer_video as gst_video;
 use crate::clock::monotonic_ns;
 use crate::decoder::Threading;
 use crate::explain::Failure;
-use crate::holding::{DecoderWatch, Noticed};
+use crate::holding::{DecoderFault, DecoderWatch};
 use crate::input::Input;
-use crate::mailbox::{Taken, WhenFull};
-use crate::packets::{Packet, PacketTap};
+use crate::mailbox::{MailboxContent, WhenFull};
+use crate::packet::Packet;
+use crate::packet_tap::PacketTap;
 use crate::parameters::{Paced, SourceParameters};
 use crate::picture::{Picture, PictureStamp, range_of};
-use crate::pipeline::{Built, Decoded, Frames, build};
+use crate::pipeline::{DecodedFrame, Frames, PipelineParts, build};
 use crate::{CaptureError, decoder};
 
-/// What a pipeline has to say.
+/// What comes out of a pipeline.
 #[derive(Debug)]
-pub(crate) enum Step {
+pub(crate) enum PlaybackEvent {
     Picture(Picture),
     Idle,
     /// Its frames come later than they could, for this reason.
     Late(String),
-    /// Its decoder does not keep up: so long do frames wait before it, and this would be faster.
+    /// Its decoder does not keep up: frames wait this long before it, and `faster` would be faster.
     Behind {
         by: Duration,
         faster: Option<Threading>,
@@ -52,7 +53,7 @@ enum Timing {
     Driver,
 }
 
-/// One pipeline from its start to its end. Dropping it stops it.
+/// A pipeline from its start to its end. Dropping it stops it.
 #[derive(Debug)]
 pub(crate) struct Playback {
     input: Input,
@@ -96,7 +97,7 @@ impl Playback {
         Self::fed(input, params, |_, _| Ok(()))
     }
 
-    /// The same of one into which something is fed: `begin` begins to do so.
+    /// Opens a recording into which pictures are fed: `begin` begins to feed.
     pub(crate) fn fed(
         input: Input,
         params: &SourceParameters,
@@ -131,8 +132,8 @@ impl Playback {
         Ok(playback)
     }
 
-    /// Starts a camera. One that does not start says so in [`Self::next`]. `threading` is what its decoder
-    /// turned out to need; `None` at first.
+    /// Starts a camera. One that does not start is reported by [`Self::next`]. `threading` is what
+    /// its decoder turned out to need; `None` at first.
     pub(crate) fn camera(
         input: Input,
         params: &SourceParameters,
@@ -147,7 +148,7 @@ impl Playback {
             _ if params.flow == Paced::Lossless => Timing::Stream,
             Input::V4l2(_) => Timing::Driver,
             Input::Theta => Timing::Arrival,
-            // The Theta's driver does not say that it is a live source.
+            // The Theta's driver does not announce a live source.
             Input::Description(_) if live || playback.input.is_camera() => Timing::Arrival,
             Input::Description(_) | Input::File(_) | Input::Flight(..) => Timing::Paced,
         };
@@ -171,7 +172,7 @@ impl Playback {
             (Input::File(_) | Input::Flight(..), Timing::Paced) => AHEAD,
             _ => 0,
         };
-        let Built { pipeline, sink, decoders, packets } =
+        let PipelineParts { pipeline, sink, decoders, packets } =
             build(&input, expected, threading, ahead, &params.packets, &frames)?;
         Ok(Self {
             input,
@@ -217,7 +218,7 @@ impl Playback {
     }
 
     /// Waits for at most `timeout` for something to happen.
-    pub(crate) fn next(&mut self, timeout: Duration) -> Result<Step, CaptureError> {
+    pub(crate) fn next(&mut self, timeout: Duration) -> Result<PlaybackEvent, CaptureError> {
         if !self.playing {
             self.play();
         }
@@ -225,42 +226,45 @@ impl Playback {
             return Ok(self.late(noticed));
         }
         Ok(match self.frames.take(timeout) {
-            Taken::Item(decoded) => Step::Picture(self.picture(decoded)?),
-            Taken::Ended => Step::Over { fault: self.shortage() },
-            Taken::Failed(failure) => Step::Over { fault: Some(failure.for_running(&self.input)) },
-            Taken::TimedOut => match self.stall {
-                Some(stall) if self.heard.elapsed() >= stall => Step::Over {
+            MailboxContent::Item(decoded) => PlaybackEvent::Picture(self.picture(decoded)?),
+            MailboxContent::Ended => PlaybackEvent::Over { fault: self.shortage() },
+            MailboxContent::Failed(failure) => {
+                PlaybackEvent::Over { fault: Some(failure.for_running(&self.input)) }
+            }
+            MailboxContent::TimedOut => match self.stall {
+                Some(stall) if self.heard.elapsed() >= stall => PlaybackEvent::Over {
                     fault: Some(format!(
                         "{}: no frame for {:.1} s. Cure: check the cable and the power",
                         self.input.name(),
                         stall.as_secs_f64()
                     )),
                 },
-                _ => Step::Idle,
+                _ => PlaybackEvent::Idle,
             },
         })
     }
 
-    /// Whether what the decoder holds back makes frames older: others are decoded ahead of their time.
+    /// Whether what the decoder holds back makes frames older: others are decoded ahead of their
+    /// time.
     fn is_timed_by_arrival(&self) -> bool {
         matches!(self.timing, Timing::Arrival | Timing::Driver)
     }
 
-    fn late(&mut self, noticed: Noticed) -> Step {
+    fn late(&mut self, noticed: DecoderFault) -> PlaybackEvent {
         match noticed {
-            Noticed::IsBehind(by) => {
+            DecoderFault::IsBehind(by) => {
                 let processors = std::thread::available_parallelism()
                     .map_or(1, |count| u32::try_from(count.get()).unwrap_or(u32::MAX));
                 let faster = self.threading.faster(processors);
-                Step::Behind { by, faster: faster.filter(|_| !self.is_threading_fixed) }
+                PlaybackEvent::Behind { by, faster: faster.filter(|_| !self.is_threading_fixed) }
             }
-            Noticed::Holds { frames, delay, reordered } => {
+            DecoderFault::Holds { frames, delay, reordered } => {
                 self.held = frames;
                 let by_threads = match self.threading {
                     Threading::Frames(threads) => threads.saturating_sub(1) as usize,
                     Threading::Slices | Threading::Chosen(_) => 0,
                 };
-                Step::Late(format!(
+                PlaybackEvent::Late(format!(
                     "{}: {} holds {frames} frame{} back, which makes each {:.0} ms older: {}",
                     self.input.name(),
                     decoder::chosen(&self.pipeline).join(", "),
@@ -272,7 +276,7 @@ impl Playback {
         }
     }
 
-    fn picture(&mut self, decoded: Decoded) -> Result<Picture, CaptureError> {
+    fn picture(&mut self, decoded: DecodedFrame) -> Result<Picture, CaptureError> {
         self.heard = Instant::now();
         self.reached = self.reached.max(decoded.stream_end);
         let sequence = decoded.sequence;
@@ -297,7 +301,7 @@ impl Playback {
         Ok(picture)
     }
 
-    fn exposure_ns(&mut self, decoded: &Decoded) -> i64 {
+    fn exposure_ns(&mut self, decoded: &DecodedFrame) -> i64 {
         let latency_ns = self.latency.as_nanos() as i64;
         match self.timing {
             Timing::Stream => decoded.stream_time.as_nanos() as i64,
@@ -307,7 +311,8 @@ impl Playback {
                 match decoded.due_ns.filter(|&due| is_believable(due, decoded.arrival_ns)) {
                     Some(due_ns) => due_ns - latency_ns,
                     None => {
-                        // Once and for all: two clocks in turns would be worse than the coarser one.
+                        // Once and for all: two clocks in turns would be worse than the coarser
+                        // one.
                         self.timing = Timing::Arrival;
                         decoded.arrival_ns - latency_ns
                     }
@@ -411,8 +416,8 @@ impl Drop for Playback {
     }
 }
 
-/// Why so many frames are held back, and what to do about it. Of them `by_threads` are being decoded beside
-/// the one that is given.
+/// The reason why this many frames are held back, and what to do about it. Of them `by_threads` are
+/// being decoded beside the one that is given.
 fn why_held(frames: usize, by_threads: usize, reordered: bool, is_fixed: bool) -> String {
     let mut reasons = Vec::new();
     if by_threads > 0 {

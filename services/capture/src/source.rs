@@ -8,11 +8,11 @@ use gstreamer as gst;
 
 use crate::decoder::Threading;
 use crate::file;
-use crate::flight::Flight;
 use crate::folder::{Folder, FolderStep};
 use crate::input::Input;
-use crate::packets::Packet;
-use crate::playback::{Playback, Step};
+use crate::packet::Packet;
+use crate::playback::{Playback, PlaybackEvent};
+use crate::recorded_flight::Flight;
 use crate::{CaptureError, EndReason, Event, Paced, SourceParameters, SourceSpec};
 
 /// A camera, a video file or a folder of images that hands out luma planes.
@@ -20,7 +20,7 @@ use crate::{CaptureError, EndReason, Event, Paced, SourceParameters, SourceSpec}
 pub struct Source {
     spec: SourceSpec,
     params: SourceParameters,
-    state: State,
+    state: SourceState,
     backoff: Backoff,
     /// What a camera's decoder turned out to need.
     threading: Option<Threading>,
@@ -29,7 +29,7 @@ pub struct Source {
 }
 
 #[derive(Debug)]
-enum State {
+enum SourceState {
     Recording(Playback),
     Folder(Folder),
     Flight(Box<Flight>),
@@ -73,11 +73,13 @@ impl Source {
     /// An error is final: the source cannot be used as it is configured.
     pub fn next(&mut self, timeout: Duration) -> Result<Event, CaptureError> {
         match &mut self.state {
-            State::Recording(playback) => Ok(match playback.next(timeout)? {
-                Step::Picture(picture) => Event::Frame(picture),
+            SourceState::Recording(playback) => Ok(match playback.next(timeout)? {
+                PlaybackEvent::Picture(picture) => Event::Frame(picture),
                 // A recording's frames are decoded before they are due.
-                Step::Idle | Step::Late(_) | Step::Behind { .. } => Event::Idle,
-                Step::Over { fault } => {
+                PlaybackEvent::Idle | PlaybackEvent::Late(_) | PlaybackEvent::Behind { .. } => {
+                    Event::Idle
+                }
+                PlaybackEvent::Over { fault } => {
                     let decoded = playback.handed_out();
                     let reason = match fault {
                         Some(reason) => EndReason::Truncated { decoded, reason },
@@ -86,7 +88,7 @@ impl Source {
                     self.over(reason, decoded)?
                 }
             }),
-            State::Folder(folder) => Ok(match folder.next(timeout) {
+            SourceState::Folder(folder) => Ok(match folder.next(timeout) {
                 FolderStep::Picture(picture) => Event::Frame(picture),
                 FolderStep::Idle => Event::Idle,
                 FolderStep::Skipped { what, why } => Event::Skipped { what, why },
@@ -96,24 +98,25 @@ impl Source {
                     self.over(reason, frames)?
                 }
             }),
-            State::Flight(flight) => match flight.next(timeout)? {
+            SourceState::Flight(flight) => match flight.next(timeout)? {
                 Event::End(reason) => {
                     let frames = flight.handed_out();
                     self.over(reason, frames)
                 }
                 event => Ok(event),
             },
-            State::Camera(input, playback) => Ok(match playback.next(timeout)? {
-                Step::Picture(picture) => {
+            SourceState::Camera(input, playback) => Ok(match playback.next(timeout)? {
+                PlaybackEvent::Picture(picture) => {
                     self.backoff.reset();
                     Event::Frame(picture)
                 }
-                Step::Idle => Event::Idle,
-                Step::Late(what) => match std::mem::replace(&mut self.has_said_late, true) {
+                PlaybackEvent::Idle => Event::Idle,
+                PlaybackEvent::Late(what) => match std::mem::replace(&mut self.has_said_late, true)
+                {
                     false => Event::Late { what },
                     true => Event::Idle,
                 },
-                Step::Behind { by, faster: Some(faster) } => {
+                PlaybackEvent::Behind { by, faster: Some(faster) } => {
                     let reason = format!(
                         "{}: its frames wait {:.0} ms before the decoder, which now decodes several at \
                          a time",
@@ -121,10 +124,10 @@ impl Source {
                         by.as_secs_f64() * 1e3
                     );
                     self.threading = Some(faster);
-                    self.state = State::Lost(input.clone(), Instant::now());
+                    self.state = SourceState::Lost(input.clone(), Instant::now());
                     Event::Lost { reason, retry_in: Duration::ZERO }
                 }
-                Step::Behind { by, faster: None } => {
+                PlaybackEvent::Behind { by, faster: None } => {
                     let what = format!(
                         "{}: its frames wait {:.0} ms before the decoder, ever longer. Cure: \
                          source.decoder_threads: 0, a hardware decoder, or smaller frames",
@@ -136,15 +139,15 @@ impl Source {
                         true => Event::Idle,
                     }
                 }
-                Step::Over { fault } => {
+                PlaybackEvent::Over { fault } => {
                     let reason =
                         fault.unwrap_or_else(|| format!("{}: its stream has ended", input.name()));
                     let retry_in = self.backoff.after_failure();
-                    self.state = State::Lost(input.clone(), Instant::now() + retry_in);
+                    self.state = SourceState::Lost(input.clone(), Instant::now() + retry_in);
                     Event::Lost { reason, retry_in }
                 }
             }),
-            State::Lost(input, until) => {
+            SourceState::Lost(input, until) => {
                 let now = Instant::now();
                 if now < *until {
                     std::thread::sleep(timeout.min(*until - now));
@@ -152,10 +155,10 @@ impl Source {
                 }
                 let input = input.clone();
                 let playback = Playback::camera(input.clone(), &self.params, self.threading)?;
-                self.state = State::Camera(input, playback);
+                self.state = SourceState::Camera(input, playback);
                 self.next(timeout)
             }
-            State::Ended(reason) => Ok(Event::End(reason.clone())),
+            SourceState::Ended(reason) => Ok(Event::End(reason.clone())),
         }
     }
 
@@ -165,19 +168,21 @@ impl Source {
             self.state = start(&self.spec, &self.params)?;
             return Ok(Event::Looped { after: reason });
         }
-        self.state = State::Ended(reason.clone());
+        self.state = SourceState::Ended(reason.clone());
         Ok(Event::End(reason))
     }
 
-    /// One line for people: what is played, its size, rate and format, and which decoder was
+    /// A line for people: what is played, its size, rate and format, and which decoder was
     /// chosen. A camera's is complete once its first frame is there.
     pub fn describe(&self) -> String {
         match &self.state {
-            State::Recording(playback) | State::Camera(_, playback) => playback.describe(),
-            State::Folder(folder) => folder.describe(),
-            State::Flight(flight) => flight.describe(),
-            State::Lost(input, _) => format!("{}: lost", input.name()),
-            State::Ended(reason) => format!("{}: {reason}", self.spec),
+            SourceState::Recording(playback) | SourceState::Camera(_, playback) => {
+                playback.describe()
+            }
+            SourceState::Folder(folder) => folder.describe(),
+            SourceState::Flight(flight) => flight.describe(),
+            SourceState::Lost(input, _) => format!("{}: lost", input.name()),
+            SourceState::Ended(reason) => format!("{}: {reason}", self.spec),
         }
     }
 
@@ -185,7 +190,9 @@ impl Source {
     /// ([`SourceParameters::packets`]).
     pub fn take_packets(&self) -> Vec<Packet> {
         match &self.state {
-            State::Recording(playback) | State::Camera(_, playback) => playback.take_packets(),
+            SourceState::Recording(playback) | SourceState::Camera(_, playback) => {
+                playback.take_packets()
+            }
             _ => Vec::new(),
         }
     }
@@ -193,38 +200,41 @@ impl Source {
     /// How its pictures are coded; `None` while that is not known.
     pub fn codec(&self) -> Option<VideoCodec> {
         match &self.state {
-            State::Recording(playback) | State::Camera(_, playback) => playback.codec(),
-            State::Folder(_) | State::Flight(_) => Some(VideoCodec::None),
-            State::Lost(..) | State::Ended(_) => None,
+            SourceState::Recording(playback) | SourceState::Camera(_, playback) => playback.codec(),
+            SourceState::Folder(_) | SourceState::Flight(_) => Some(VideoCodec::None),
+            SourceState::Lost(..) | SourceState::Ended(_) => None,
         }
     }
 
     /// Whether its pictures come out of a decoder of video. It is known from the first one on.
     pub fn decodes_video(&self) -> bool {
         match &self.state {
-            State::Recording(playback) | State::Camera(_, playback) => playback.decodes_video(),
-            State::Flight(flight) => flight.decodes_video(),
-            State::Folder(_) | State::Lost(..) | State::Ended(_) => false,
+            SourceState::Recording(playback) | SourceState::Camera(_, playback) => {
+                playback.decodes_video()
+            }
+            SourceState::Flight(flight) => flight.decodes_video(),
+            SourceState::Folder(_) | SourceState::Lost(..) | SourceState::Ended(_) => false,
         }
     }
 
     /// Whether it is a camera, which never ends and may be lost.
     pub fn is_camera(&self) -> bool {
-        matches!(self.state, State::Camera(..) | State::Lost(..))
+        matches!(self.state, SourceState::Camera(..) | SourceState::Lost(..))
     }
 }
 
-fn start(spec: &SourceSpec, params: &SourceParameters) -> Result<State, CaptureError> {
-    let recording = |input: Input| Ok(State::Recording(Playback::recording(input, params)?));
-    let camera =
-        |input: Input| Ok(State::Camera(input.clone(), Playback::camera(input, params, None)?));
+fn start(spec: &SourceSpec, params: &SourceParameters) -> Result<SourceState, CaptureError> {
+    let recording = |input: Input| Ok(SourceState::Recording(Playback::recording(input, params)?));
+    let camera = |input: Input| {
+        Ok(SourceState::Camera(input.clone(), Playback::camera(input, params, None)?))
+    };
     match spec {
         SourceSpec::File(path) => {
             file::check(path)?;
             recording(Input::File(path.clone()))
         }
-        SourceSpec::Flight(path) => Ok(State::Flight(Box::new(Flight::open(path, params)?))),
-        SourceSpec::Folder(path) => Ok(State::Folder(Folder::open(path, params)?)),
+        SourceSpec::Flight(path) => Ok(SourceState::Flight(Box::new(Flight::open(path, params)?))),
+        SourceSpec::Folder(path) => Ok(SourceState::Folder(Folder::open(path, params)?)),
         SourceSpec::V4l2(device) => camera(Input::V4l2(device.clone())),
         SourceSpec::Theta => camera(Input::Theta),
         SourceSpec::Description(text) => match params.flow {

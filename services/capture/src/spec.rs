@@ -36,8 +36,8 @@ pub enum SourceSpec {
 }
 
 impl SourceSpec {
-    /// Understands what a user wrote. Looks at the file system to tell a folder from a file, and
-    /// a file whose name holds a `!` from a description; whether a file is there is found when it
+    /// Understands what a user wrote. Looks at the file system to distinguish a folder from a file,
+    /// and a file whose name has a `!` from a description; whether a file is there is found when it
     /// is opened.
     pub fn parse(text: &str) -> Result<Self, CaptureError> {
         let trimmed = text.trim();

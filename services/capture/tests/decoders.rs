@@ -1,4 +1,5 @@
-//! Decoders that hold frames back or do not keep up: what is done and said about them, with real streams.
+//! Decoders that hold frames back or do not keep up: what is done and said about them, with real
+//! streams.
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 
 mod common;

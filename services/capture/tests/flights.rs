@@ -1,4 +1,5 @@
-//! Recordings of flights: their pictures come with the stamps that they had, and what is wrong with them is said.
+//! Recordings of flights: their pictures come with the stamps that they had, and what is wrong with
+//! them is said.
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 
 mod common;

@@ -8,8 +8,7 @@ use std::path::Path;
 use std::time::Duration;
 
 use common::{Scratch, open, parameters, video, watched};
-use flockeye_capture::packets::{Packet, PacketWish};
-use flockeye_capture::{Event, Paced, SourceParameters};
+use flockeye_capture::{Event, Paced, Packet, PacketWish, SourceParameters};
 use flockeye_contract::VideoCodec;
 
 /// Plays a clip: its packets, the stream times of its frames, and how it is coded.

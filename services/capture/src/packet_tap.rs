@@ -1,7 +1,6 @@
 //! The coded pictures of a source, taken before the decoder while somebody wants them.
 
 use std::collections::VecDeque;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
@@ -10,61 +9,24 @@ use flockeye_runtime::lock::lock;
 use gstreamer as gst;
 use gstreamer::prelude::*;
 
+use crate::arrivals::Arrivals;
 use crate::byte_stream::ByteStream;
 use crate::clock::monotonic_ns;
 use crate::decoder;
-use crate::pipeline::Arrivals;
+use crate::packet::{Packet, PacketWish};
 
-/// Packets that nobody has taken have so many bytes at most: then the oldest are dropped.
+/// Limit for the bytes of packets that nobody has taken: beyond it the oldest are dropped.
 const MOST_BYTES: usize = 64_000_000;
-
-/// Whether somebody wants packets. All copies are one.
-#[derive(Debug, Clone, Default)]
-pub struct PacketWish(Arc<AtomicBool>);
-
-impl PacketWish {
-    /// Says whether somebody wants them.
-    pub fn set(&self, is_wanted: bool) {
-        self.0.store(is_wanted, Ordering::Relaxed);
-    }
-
-    fn is_set(&self) -> bool {
-        self.0.load(Ordering::Relaxed)
-    }
-}
-
-impl PartialEq for PacketWish {
-    fn eq(&self, other: &Self) -> bool {
-        Arc::ptr_eq(&self.0, &other.0)
-    }
-}
-
-/// A coded picture.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Packet {
-    /// When it is shown, from the stream's first frame, nanoseconds.
-    pub stream_ns: i64,
-    /// When its data came in, CLOCK_MONOTONIC, nanoseconds.
-    pub arrived_ns: i64,
-    /// Its number among the stream's, in the order in which they are decoded.
-    pub sequence: u64,
-    /// How it is coded.
-    pub codec: VideoCodec,
-    /// Whether decoding can begin with it.
-    pub is_key: bool,
-    /// Annex B's byte stream, with the parameter sets before a key frame.
-    pub bytes: Vec<u8>,
-}
 
 /// Takes the packets of one pipeline.
 #[derive(Debug)]
 pub(crate) struct PacketTap {
     wish: PacketWish,
-    state: Mutex<State>,
+    state: Mutex<TapState>,
 }
 
 #[derive(Debug, Default)]
-struct State {
+struct TapState {
     /// What the decoder takes, and how to make packets of it; `None` if that cannot be done.
     stream: Option<(gst::Caps, Option<(VideoCodec, ByteStream)>)>,
     /// Place of the first decoded frame in the stream, nanoseconds.
@@ -109,7 +71,7 @@ impl PacketTap {
             });
             state.stream = Some((caps, stream));
         }
-        let State { stream: Some((_, Some((codec, stream)))), .. } = &mut *state else { return };
+        let TapState { stream: Some((_, Some((codec, stream)))), .. } = &mut *state else { return };
         let codec = *codec;
         let is_key = !buffer.flags().contains(gst::BufferFlags::DELTA_UNIT);
         let made = self.wish.is_set().then(|| {
@@ -119,7 +81,7 @@ impl PacketTap {
         let sequence = state.next_sequence;
         state.next_sequence += 1;
         let place = buffer.pts().and_then(|pts| Some((pts, stream_ns(pad, pts)?)));
-        // One that cannot be used is missing: its number says so.
+        // A packet that cannot be used is missing: its number is left out.
         let (Some(Some(bytes)), Some((pts, stream_ns))) = (made, place) else { return };
         let arrived_ns = arrivals.find(pts).unwrap_or_else(monotonic_ns);
         state.waiting_bytes += bytes.len();
@@ -136,8 +98,8 @@ impl PacketTap {
         lock(&self.state).origin_ns.get_or_insert(origin_ns);
     }
 
-    /// The packets that have come since the last time. There are none before the first frame is decoded, from which
-    /// their times count.
+    /// The packets that have come since the last time. There are none before the first frame is
+    /// decoded, from which their times count.
     pub(crate) fn take(&self) -> Vec<Packet> {
         let mut state = lock(&self.state);
         let Some(origin_ns) = state.origin_ns else { return Vec::new() };
@@ -170,7 +132,7 @@ fn codec_of(caps: &gst::Caps) -> Option<VideoCodec> {
     (structure.get::<&str>("alignment") == Ok("au")).then_some(codec)
 }
 
-/// What says how units are told apart; `None` for a byte stream.
+/// How units are told apart, as the stream describes it; `None` for a byte stream.
 fn codec_data(caps: &gst::Caps) -> Option<Vec<u8>> {
     let structure = caps.structure(0)?;
     if structure.get::<&str>("stream-format") == Ok("byte-stream") {

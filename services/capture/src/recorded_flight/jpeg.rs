@@ -1,9 +1,10 @@
-//! What can be said of a JPEG before it is decoded: decoders fill what is missing with gray, and say nothing.
+//! Checks of a JPEG before it is decoded: decoders silently fill what is missing with gray.
 
 /// Bytes that some cameras write behind the end, at most.
 const TAIL: usize = 65_536;
 
-/// The size of a picture that is whole: columns and rows. An error says what is wrong with it (ITU-T T.81, annex B).
+/// The size of a picture that is whole: columns and rows. The error names what is wrong with it
+/// (ITU-T T.81, annex B).
 pub(crate) fn size(bytes: &[u8]) -> Result<(u32, u32), String> {
     if !bytes.starts_with(&[0xFF, 0xD8]) {
         return Err("it is no JPEG".to_owned());

@@ -1,5 +1,5 @@
-//! A recording of a flight is played: its coded pictures are fed into a decoder, and what comes out gets the stamp
-//! that it had.
+//! A recording of a flight is played: its coded pictures are fed into a decoder, and what comes out
+//! gets the stamp that it had.
 //!
 //! A thread reads the recording and feeds. Each epoch of the recording has a decoder of its own.
 
@@ -15,12 +15,12 @@ use gstreamer as gst;
 use gstreamer::prelude::*;
 use gstreamer_app as gst_app;
 
+use super::tape::{Coding, Tape, TapeItem, TapeSample};
 use crate::event::EndReason;
 use crate::input::{FEED, Input};
 use crate::parameters::{Paced, SourceParameters};
-use crate::picture::Recorded;
-use crate::playback::{Playback, Step};
-use crate::tape::{Coding, Next, Tape, TapeSample};
+use crate::picture::FlightFrame;
+use crate::playback::{Playback, PlaybackEvent};
 use crate::{CaptureError, Event};
 
 /// A recording that is being played.
@@ -28,10 +28,10 @@ use crate::{CaptureError, Event};
 pub(crate) struct Flight {
     path: PathBuf,
     params: SourceParameters,
-    round: Option<Round>,
-    /// What comes once all damage is told, where no epoch is played.
-    then: Option<Then>,
-    /// Pictures that could not be used, to be told of.
+    round: Option<EpochPlayback>,
+    /// What comes once all damage is reported, where no epoch is played.
+    then: Option<EpochEnd>,
+    /// Pictures that could not be used and are to be reported.
     damaged: VecDeque<(String, String)>,
     handed_out: u64,
     skipped: u64,
@@ -41,17 +41,17 @@ pub(crate) struct Flight {
     blind: u32,
 }
 
-/// After so many frames in a row without a sample of the inertial sensor that is said.
+/// Frames in a row without a sample of the inertial sensor that are reported.
 const MOST_BLIND: u32 = 30;
 
 /// What follows an epoch.
-enum Then {
+enum EpochEnd {
     Next(Box<Tape>),
     /// The end, and what is wrong with it.
     End(Option<String>),
 }
 
-impl std::fmt::Debug for Then {
+impl std::fmt::Debug for EpochEnd {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
             Self::Next(_) => f.write_str("Next"),
@@ -60,15 +60,15 @@ impl std::fmt::Debug for Then {
     }
 }
 
-/// One epoch of it.
-struct Round {
+/// An epoch of the recording.
+struct EpochPlayback {
     // Before the thread that feeds it: it lets go of that.
     playback: Playback,
     feeder: JoinHandle<Tape>,
     table: Arc<Mutex<Table>>,
 }
 
-impl std::fmt::Debug for Round {
+impl std::fmt::Debug for EpochPlayback {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.debug_struct("Round").field("playback", &self.playback).finish_non_exhaustive()
     }
@@ -78,14 +78,14 @@ impl std::fmt::Debug for Round {
 #[derive(Debug, Default)]
 struct Table {
     /// By their time stamps in the decoder.
-    pictures: BTreeMap<gst::ClockTime, Fed>,
+    pictures: BTreeMap<gst::ClockTime, PendingPicture>,
     samples: VecDeque<TapeSample>,
     damaged: VecDeque<(String, String)>,
 }
 
 /// A picture that was fed.
 #[derive(Debug)]
-struct Fed {
+struct PendingPicture {
     /// `None`: it was decoded in flight, and not published.
     header: Option<FrameHeader>,
     /// What its time stamp lacks to its exposure.
@@ -96,8 +96,9 @@ struct Fed {
 }
 
 impl Table {
-    /// A picture has come out. Returns what is known of it, and how many decoded ones before it did not come.
-    fn take(&mut self, pts: gst::ClockTime) -> Option<(Fed, u64)> {
+    /// A picture has come out. Returns what is known of it, and how many decoded ones before it did
+    /// not come.
+    fn take(&mut self, pts: gst::ClockTime) -> Option<(PendingPicture, u64)> {
         let later = self.pictures.split_off(&pts);
         let earlier = std::mem::replace(&mut self.pictures, later);
         let mut replaced = 0;
@@ -178,7 +179,7 @@ impl Flight {
         let missing = || CaptureError::GStreamer("nobody feeds it".to_owned());
         let feeder = feeder.ok_or_else(missing)?;
         self.count = 0;
-        self.round = Some(Round { playback, feeder, table });
+        self.round = Some(EpochPlayback { playback, feeder, table });
         Ok(())
     }
 
@@ -188,27 +189,30 @@ impl Flight {
             self.skipped += 1;
             return Ok(Event::Skipped { what: format!("{}: {what}", self.path.display()), why });
         }
-        let Some(Round { playback, table, .. }) = &mut self.round else {
+        let Some(EpochPlayback { playback, table, .. }) = &mut self.round else {
             return match self.then.take() {
-                Some(Then::Next(tape)) => {
+                Some(EpochEnd::Next(tape)) => {
                     self.begin(*tape)?;
                     Ok(Event::NewEpoch)
                 }
-                Some(Then::End(Some(reason))) => {
+                Some(EpochEnd::End(Some(reason))) => {
                     Ok(Event::End(EndReason::Truncated { decoded: self.handed_out, reason }))
                 }
-                Some(Then::End(None)) | None => {
+                Some(EpochEnd::End(None)) | None => {
                     let (frames, skipped) = (self.handed_out, self.skipped);
                     Ok(Event::End(EndReason::Complete { frames, skipped }))
                 }
             };
         };
         match playback.next(timeout)? {
-            Step::Picture(mut picture) => {
+            PlaybackEvent::Picture(mut picture) => {
                 let mut table = lock(table);
                 let taken = picture.pts().and_then(|pts| table.take(pts));
                 self.damaged.append(&mut table.damaged);
-                let Some((Fed { header: Some(header), later_ns, reach_ns, .. }, replaced)) = taken
+                let Some((
+                    PendingPicture { header: Some(header), later_ns, reach_ns, .. },
+                    replaced,
+                )) = taken
                 else {
                     return Ok(Event::Idle);
                 };
@@ -230,11 +234,13 @@ impl Flight {
                         self.path.display()
                     );
                 }
-                picture.set_recorded(Recorded { header, samples, sequence, exposure_ns });
+                picture.set_recorded(FlightFrame { header, samples, sequence, exposure_ns });
                 Ok(Event::Frame(picture))
             }
-            Step::Idle | Step::Late(_) | Step::Behind { .. } => Ok(Event::Idle),
-            Step::Over { fault } => {
+            PlaybackEvent::Idle | PlaybackEvent::Late(_) | PlaybackEvent::Behind { .. } => {
+                Ok(Event::Idle)
+            }
+            PlaybackEvent::Over { fault } => {
                 self.end_round(fault);
                 self.next(timeout)
             }
@@ -243,8 +249,8 @@ impl Flight {
 
     /// The pictures of an epoch are over.
     fn end_round(&mut self, fault: Option<String>) {
-        self.then = Some(Then::End(fault.clone()));
-        let Some(Round { playback, feeder, table }) = self.round.take() else { return };
+        self.then = Some(EpochEnd::End(fault.clone()));
+        let Some(EpochPlayback { playback, feeder, table }) = self.round.take() else { return };
         // It lets go of the thread that feeds it.
         drop(playback);
         let tape = feeder.join();
@@ -254,14 +260,14 @@ impl Flight {
         let (None, Ok(mut tape)) = (fault, tape) else { return };
         loop {
             match tape.next() {
-                Next::Coded(coded) => {
+                TapeItem::Coded(coded) => {
                     tape.put_back(coded);
-                    self.then = Some(Then::Next(Box::new(tape)));
+                    self.then = Some(EpochEnd::Next(Box::new(tape)));
                     return;
                 }
-                Next::Damaged { what, why } => self.damaged.push_back((what, why)),
-                Next::End => {
-                    self.then = Some(Then::End(tape.fault().map(str::to_owned)));
+                TapeItem::Damaged { what, why } => self.damaged.push_back((what, why)),
+                TapeItem::End => {
+                    self.then = Some(EpochEnd::End(tape.fault().map(str::to_owned)));
                     return;
                 }
             }
@@ -287,7 +293,8 @@ impl Flight {
     }
 }
 
-/// Feeds the pictures of one epoch. Returns the recording, which has the next epoch, or is at its end.
+/// Feeds the pictures of one epoch. Returns the recording, which has the next epoch, or is at its
+/// end.
 fn feed_epoch(mut tape: Tape, feed: &gst_app::AppSrc, table: &Mutex<Table>) -> Tape {
     let mut epoch = None;
     let mut first_ns = 0;
@@ -299,16 +306,16 @@ fn feed_epoch(mut tape: Tape, feed: &gst_app::AppSrc, table: &Mutex<Table>) -> T
         let mut known = lock(table);
         known.samples.extend(tape.take_samples());
         let coded = match next {
-            Next::Coded(coded) if *epoch.get_or_insert(coded.epoch) == coded.epoch => coded,
-            Next::Coded(coded) => {
+            TapeItem::Coded(coded) if *epoch.get_or_insert(coded.epoch) == coded.epoch => coded,
+            TapeItem::Coded(coded) => {
                 tape.put_back(coded);
                 break;
             }
-            Next::Damaged { what, why } => {
+            TapeItem::Damaged { what, why } => {
                 known.damaged.push_back((what, why));
                 continue;
             }
-            Next::End => break,
+            TapeItem::End => break,
         };
         if newest_pts.is_none() {
             first_ns = coded.time_ns;
@@ -330,7 +337,7 @@ fn feed_epoch(mut tape: Tape, feed: &gst_app::AppSrc, table: &Mutex<Table>) -> T
             later_ns = apart.saturating_sub(*apart_ns.get_or_insert(apart));
             reach_ns = tape.reach_ns(header);
         }
-        let fed = Fed { header: coded.header, later_ns, reach_ns, was_decoded: false };
+        let fed = PendingPicture { header: coded.header, later_ns, reach_ns, was_decoded: false };
         known.pictures.insert(pts, fed);
         drop(known);
         let mut buffer = gst::Buffer::from_slice(coded.bytes);
@@ -342,7 +349,7 @@ fn feed_epoch(mut tape: Tape, feed: &gst_app::AppSrc, table: &Mutex<Table>) -> T
             return tape;
         }
     }
-    // One that has ended needs no end.
+    // A thread that has ended needs no end.
     feed.end_of_stream().ok();
     tape
 }

@@ -1,9 +1,9 @@
-//! A recording of a flight, read as a source: its pictures with the stamps that they had, and the samples of its
-//! inertial sensor.
+//! A recording of a flight, read as a source: its pictures with the stamps that they had, and the
+//! samples of its inertial sensor.
 //!
-//! Messages stand about in the order in which they were sent. What belongs to a picture may stand behind it: samples
-//! that cover its exposure, and the stamp of a frame that had yet to be decoded. The tape reads on until that is
-//! there.
+//! Messages stand about in the order in which they were sent. What belongs to a picture may stand
+//! behind it: samples that cover its exposure, and the stamp of a frame that had yet to be decoded.
+//! The tape reads on until that is there.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::path::{Path, PathBuf};
@@ -23,15 +23,17 @@ use flockeye_recording::{
     layouts,
 };
 
-use crate::{CaptureError, jpeg};
+use super::jpeg;
+use crate::CaptureError;
 
-/// What belongs to a picture stands at most so far behind it, by the time at which it was recorded.
+/// Limit for how far behind a picture its stamp and samples stand, by the time at which they were
+/// recorded.
 const BEHIND_NS: u64 = 1_000_000_000;
-/// Pictures that wait for what belongs to them have so many bytes at most.
+/// Limit for the bytes of pictures that wait for what belongs to them.
 const MOST_WAITING_BYTES: usize = 256_000_000;
 /// Frames whose packets may still come.
 const MOST_HEADERS: usize = 1024;
-/// Samples reach so far beyond an exposure whose length is not known.
+/// Reach of the samples beyond an exposure whose length is not known.
 const BEYOND_NS: i64 = 10_000_000;
 
 /// Which process of the source, and which of its epochs: generation and epoch.
@@ -47,12 +49,13 @@ pub(crate) enum Coding {
 
 /// A coded picture.
 #[derive(Debug, PartialEq)]
-pub(crate) struct Coded {
+pub(crate) struct CodedPicture {
     pub(crate) epoch: Epoch,
     pub(crate) coding: Coding,
-    /// Its place among the pictures of its epoch, nanoseconds: its exposure, or that of a packet in its stream.
+    /// Its place among the pictures of its epoch, nanoseconds: its exposure, or that of a packet in
+    /// its stream.
     pub(crate) time_ns: i64,
-    /// What was said of the frame. `None`: it was decoded and not published.
+    /// The frame's header. `None`: it was decoded and not published.
     pub(crate) header: Option<FrameHeader>,
     pub(crate) bytes: Vec<u8>,
 }
@@ -64,10 +67,10 @@ pub(crate) struct TapeSample {
     pub(crate) sample: ImuSample,
 }
 
-/// What comes next.
+/// What comes next of a recording.
 #[derive(Debug, PartialEq)]
-pub(crate) enum Next {
-    Coded(Coded),
+pub(crate) enum TapeItem {
+    Coded(CodedPicture),
     /// Something that cannot be used; the rest goes on.
     Damaged {
         what: String,
@@ -80,9 +83,9 @@ pub(crate) enum Next {
 pub(crate) struct Tape {
     path: PathBuf,
     reader: Reader,
-    frames: Arc<Known>,
-    packets: Arc<Known>,
-    imus: Arc<Known>,
+    frames: Arc<ContractChannel>,
+    packets: Arc<ContractChannel>,
+    imus: Arc<ContractChannel>,
     wants_samples: bool,
     latency_ns: i64,
     /// The frame whose picture comes next, and the packet whose bytes do.
@@ -93,14 +96,14 @@ pub(crate) struct Tape {
     newest_frame: Option<(Epoch, i64)>,
     /// The packet that continues those before; `None`: a key frame is waited for.
     next_packet: Option<(Epoch, u64)>,
-    waiting: VecDeque<Waiting>,
+    waiting: VecDeque<WaitingItem>,
     waiting_bytes: usize,
     samples: Vec<TapeSample>,
     newest_sample: Option<TapeSample>,
     newest_utc_ns: u64,
     /// The clock of exposures less that of the stream, of the first frame.
     zero_ns: Option<i64>,
-    put_back: Option<Coded>,
+    put_back: Option<CodedPicture>,
     coding: Option<Coding>,
     has_views: bool,
     has_frames: bool,
@@ -110,26 +113,26 @@ pub(crate) struct Tape {
 }
 
 /// Messages of the contract, and their definition.
-struct Known {
+struct ContractChannel {
     layout: TopicLayout,
     definition: String,
 }
 
 /// Something that waits for what belongs to it.
-struct Waiting {
+struct WaitingItem {
     utc_ns: u64,
-    what: Pending,
+    what: PendingItem,
 }
 
-enum Pending {
+enum PendingItem {
     Damaged { what: String, why: String },
     Jpeg { header: FrameHeader, bytes: Vec<u8> },
     Packet { header: PacketHeader, coding: Coding, bytes: Vec<u8> },
 }
 
 impl Tape {
-    /// Opens a recording. `samples`: those of the inertial sensor are wanted, which reach as far beyond an exposure
-    /// as `latency`.
+    /// Opens a recording. `samples`: those of the inertial sensor are wanted, which reach as far
+    /// beyond an exposure as `latency`.
     pub(crate) fn open(
         path: &Path,
         samples: bool,
@@ -150,7 +153,7 @@ impl Tape {
             let layout =
                 layout.ok_or_else(|| CaptureError::Recording(format!("{service} is no topic")))?;
             let definition = definition::of_topic(&layout);
-            Ok::<_, CaptureError>(Arc::new(Known { layout, definition }))
+            Ok::<_, CaptureError>(Arc::new(ContractChannel { layout, definition }))
         };
         let mut tape = Self {
             path: path.to_owned(),
@@ -182,16 +185,16 @@ impl Tape {
         let mut damaged = VecDeque::new();
         loop {
             match tape.next() {
-                Next::Coded(coded) => {
+                TapeItem::Coded(coded) => {
                     tape.put_back(coded);
                     break;
                 }
-                Next::Damaged { what, why } => damaged.push_back((what, why)),
-                Next::End => return Err(tape.without_pictures(damaged.pop_front())),
+                TapeItem::Damaged { what, why } => damaged.push_back((what, why)),
+                TapeItem::End => return Err(tape.without_pictures(damaged.pop_front())),
             }
         }
         for (what, why) in damaged.into_iter().rev() {
-            tape.wait_for(Pending::Damaged { what, why }, true);
+            tape.wait_for(PendingItem::Damaged { what, why }, true);
         }
         Ok(tape)
     }
@@ -221,7 +224,7 @@ impl Tape {
     }
 
     /// Gives back a picture: it comes next again.
-    pub(crate) fn put_back(&mut self, coded: Coded) {
+    pub(crate) fn put_back(&mut self, coded: CodedPicture) {
         self.put_back = Some(coded);
     }
 
@@ -230,27 +233,31 @@ impl Tape {
         std::mem::take(&mut self.samples)
     }
 
-    /// How far samples reach beyond the middle of an exposure: what has been measured when the picture is there.
+    /// How far samples reach beyond the middle of an exposure: what has been measured when the
+    /// picture is there.
     pub(crate) fn reach_ns(&self, header: &FrameHeader) -> i64 {
         let half_ns = i64::try_from(header.exposure_time_ns / 2).unwrap_or(i64::MAX);
         self.latency_ns.saturating_add(if half_ns > 0 { half_ns } else { BEYOND_NS })
     }
 
     /// The next picture, in the order in which pictures are decoded.
-    pub(crate) fn next(&mut self) -> Next {
+    pub(crate) fn next(&mut self) -> TapeItem {
         if let Some(coded) = self.put_back.take() {
-            return Next::Coded(coded);
+            return TapeItem::Coded(coded);
         }
         loop {
             if self.has_ended || self.waiting.front().is_some_and(|front| self.is_complete(front)) {
-                return self.waiting.pop_front().map_or(Next::End, |front| self.come(front.what));
+                return self
+                    .waiting
+                    .pop_front()
+                    .map_or(TapeItem::End, |front| self.come(front.what));
             }
             self.read();
         }
     }
 
     /// Whether all is there that belongs to it.
-    fn is_complete(&self, waiting: &Waiting) -> bool {
+    fn is_complete(&self, waiting: &WaitingItem) -> bool {
         let is_old = self.newest_utc_ns >= waiting.utc_ns.saturating_add(BEHIND_NS);
         let has_samples = |header: &FrameHeader| {
             let until_ns = header.stamp.exposure_ns.saturating_add(self.reach_ns(header));
@@ -261,9 +268,9 @@ impl Tape {
             return true;
         }
         match &waiting.what {
-            Pending::Damaged { .. } => true,
-            Pending::Jpeg { header, .. } => has_samples(header),
-            Pending::Packet { header, .. } => {
+            PendingItem::Damaged { .. } => true,
+            PendingItem::Jpeg { header, .. } => has_samples(header),
+            PendingItem::Packet { header, .. } => {
                 let place = place_of(header);
                 match self.headers.get(&place) {
                     Some(header) => has_samples(header),
@@ -275,14 +282,14 @@ impl Tape {
     }
 
     /// Something has waited for long enough.
-    fn come(&mut self, what: Pending) -> Next {
+    fn come(&mut self, what: PendingItem) -> TapeItem {
         let (epoch, coding, time_ns, header, bytes) = match what {
-            Pending::Damaged { what, why } => return Next::Damaged { what, why },
-            Pending::Jpeg { header, bytes } => {
+            PendingItem::Damaged { what, why } => return TapeItem::Damaged { what, why },
+            PendingItem::Jpeg { header, bytes } => {
                 let epoch = (header.stamp.source_generation, header.stamp.epoch);
                 (epoch, Coding::Jpeg, header.stamp.exposure_ns, Some(header), bytes)
             }
-            Pending::Packet { header, coding, bytes } => {
+            PendingItem::Packet { header, coding, bytes } => {
                 let place @ (epoch, time_ns) = place_of(&header);
                 (epoch, coding, time_ns, self.headers.remove(&place), bytes)
             }
@@ -296,7 +303,7 @@ impl Tape {
             stamp.stream_ns = stamp.exposure_ns.saturating_sub(zero_ns);
             header
         });
-        Next::Coded(Coded { epoch, coding, time_ns, header, bytes })
+        TapeItem::Coded(CodedPicture { epoch, coding, time_ns, header, bytes })
     }
 
     /// Reads one message.
@@ -306,7 +313,7 @@ impl Tape {
                 self.newest_utc_ns = self.newest_utc_ns.max(message.utc_ns);
                 if let Err(why) = self.on(&message) {
                     let what = format!("{}, message {}", message.channel.topic, message.sequence);
-                    self.wait_for(Pending::Damaged { what, why }, false);
+                    self.wait_for(PendingItem::Damaged { what, why }, false);
                 }
             }
             Ok(None) if self.reader.ending() == Some(Ending::Whole) => self.end_part(),
@@ -334,18 +341,18 @@ impl Tape {
         }
     }
 
-    fn wait_for(&mut self, what: Pending, is_first: bool) {
-        if let Pending::Jpeg { bytes, .. } | Pending::Packet { bytes, .. } = &what {
+    fn wait_for(&mut self, what: PendingItem, is_first: bool) {
+        if let PendingItem::Jpeg { bytes, .. } | PendingItem::Packet { bytes, .. } = &what {
             self.waiting_bytes += bytes.len();
         }
-        let waiting = Waiting { utc_ns: self.newest_utc_ns, what };
+        let waiting = WaitingItem { utc_ns: self.newest_utc_ns, what };
         match is_first {
             true => self.waiting.push_front(waiting),
             false => self.waiting.push_back(waiting),
         }
     }
 
-    /// Takes a message. An error says why one cannot be used.
+    /// Takes a message. The error is the reason why it cannot be used.
     fn on(&mut self, message: &RecordedMessage) -> Result<(), String> {
         match message.channel.topic.as_str() {
             FRAME_IMAGES => self.on_image(message),
@@ -388,7 +395,7 @@ impl Tape {
     /// The message of a topic; `None`, and the recording ends, if it is of another version.
     fn understand(
         &mut self,
-        known: &Known,
+        known: &ContractChannel,
         message: &RecordedMessage,
     ) -> Result<Option<ContractMessage>, String> {
         if message.channel.definition != known.definition {
@@ -420,7 +427,7 @@ impl Tape {
             return Err(format!("it has {}x{} pixels, not {width}x{height}", size.0, size.1));
         }
         self.coding = Some(Coding::Jpeg);
-        self.wait_for(Pending::Jpeg { header, bytes: image.bytes.to_vec() }, false);
+        self.wait_for(PendingItem::Jpeg { header, bytes: image.bytes.to_vec() }, false);
         Ok(())
     }
 
@@ -461,7 +468,7 @@ impl Tape {
         }
         self.coding = Some(coding);
         self.next_packet = Some((place.0, header.sequence.wrapping_add(1)));
-        self.wait_for(Pending::Packet { header, coding, bytes: bytes.to_vec() }, false);
+        self.wait_for(PendingItem::Packet { header, coding, bytes: bytes.to_vec() }, false);
         Ok(())
     }
 

@@ -1,0 +1,72 @@
+//! When coded frames came in.
+
+use std::collections::VecDeque;
+use std::sync::{Arc, Mutex, PoisonError};
+
+use gstreamer as gst;
+use gstreamer::prelude::*;
+
+use crate::clock::monotonic_ns;
+
+/// When the camera's coded frames came in, by their time stamps.
+///
+/// Decoding takes a time of its own that varies; what counts is when the data left the camera's
+/// cable. The time stamp, which parsers and decoders pass on, finds it again.
+#[derive(Debug, Default)]
+pub(crate) struct Arrivals(Mutex<VecDeque<(gst::ClockTime, i64)>>);
+
+impl Arrivals {
+    /// Entries that are kept: more frames than a decoder has inside, and so few that a search takes
+    /// no time.
+    const KEPT: usize = 64;
+
+    /// Notes from now on when buffers leave the pipeline's sources.
+    pub(crate) fn of(pipeline: &gst::Pipeline) -> Arc<Self> {
+        let arrivals = Arc::new(Self::default());
+        let mut sources = pipeline.iterate_sources();
+        while let Ok(Some(source)) = sources.next() {
+            let Some(pad) = source.static_pad("src") else { continue };
+            let noted = Arc::clone(&arrivals);
+            pad.add_probe(gst::PadProbeType::BUFFER, move |_, info| {
+                if let Some(pts) = info.buffer().and_then(|buffer| buffer.pts()) {
+                    noted.enter(pts, monotonic_ns());
+                }
+                gst::PadProbeReturn::Ok
+            });
+        }
+        arrivals
+    }
+
+    fn enter(&self, pts: gst::ClockTime, arrival_ns: i64) {
+        let mut entries = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        // A frame may come in pieces; it is here when its last piece is.
+        entries.retain(|&(known, _)| known != pts);
+        if entries.len() >= Self::KEPT {
+            entries.pop_front();
+        }
+        entries.push_back((pts, arrival_ns));
+    }
+
+    pub(crate) fn find(&self, pts: gst::ClockTime) -> Option<i64> {
+        let entries = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        entries.iter().find(|&&(known, _)| known == pts).map(|&(_, arrival_ns)| arrival_ns)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn arrivals_are_found_by_time_stamp_and_forgotten_in_time() {
+        let arrivals = Arrivals::default();
+        let pts = gst::ClockTime::from_mseconds;
+        for k in 0..100 {
+            arrivals.enter(pts(k), k as i64);
+        }
+        arrivals.enter(pts(98), 1_000);
+        assert_eq!(arrivals.find(pts(99)), Some(99));
+        assert_eq!(arrivals.find(pts(98)), Some(1_000));
+        assert_eq!(arrivals.find(pts(0)), None);
+    }
+}

@@ -1,0 +1,74 @@
+//! The samples of a recorded flight on the clock on which it is played.
+
+use flockeye_contract::{FrameStamp, ImuSample};
+
+use super::tape::{Epoch, TapeSample};
+use crate::Picture;
+
+/// The epochs of a recorded flight's sensor, counted anew.
+#[derive(Debug, Default)]
+pub(crate) struct FlightClock {
+    epoch: u32,
+    /// The recording's epoch of the sample before.
+    recorded: Option<Epoch>,
+}
+
+impl FlightClock {
+    /// The samples of a picture on the clock of its frame, each row of them of one epoch.
+    pub(crate) fn samples_of(
+        &mut self,
+        picture: &Picture,
+        stamp: &FrameStamp,
+    ) -> Vec<(u32, Vec<ImuSample>)> {
+        let Some(recorded) = picture.recorded() else { return Vec::new() };
+        self.on_clock(&recorded.samples, recorded.header.stamp.exposure_ns, stamp.exposure_ns)
+    }
+
+    fn on_clock(
+        &mut self,
+        samples: &[TapeSample],
+        recorded_ns: i64,
+        played_ns: i64,
+    ) -> Vec<(u32, Vec<ImuSample>)> {
+        let mut rows: Vec<(u32, Vec<ImuSample>)> = Vec::new();
+        for TapeSample { epoch, sample } in samples {
+            let begins = self.recorded.replace(*epoch).is_some_and(|before| before != *epoch);
+            self.epoch += u32::from(begins);
+            let at_ns = sample.at_ns.saturating_sub(recorded_ns).saturating_add(played_ns);
+            let sample = ImuSample { at_ns, ..*sample };
+            match rows.last_mut() {
+                Some((of, row)) if *of == self.epoch => row.push(sample),
+                _ => rows.push((self.epoch, vec![sample])),
+            }
+        }
+        rows
+    }
+
+    /// Begins the recording again.
+    pub(crate) fn begin_epoch(&mut self) {
+        *self = Self { epoch: self.epoch + 1, recorded: None };
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn samples_of_a_flight_keep_their_distance_to_the_exposure_and_their_epochs() {
+        let of = |epoch, at_ns| TapeSample {
+            epoch,
+            sample: ImuSample { at_ns, ..ImuSample::default() },
+        };
+        let mut clock = FlightClock::default();
+        let mut sent = |samples: &[TapeSample]| -> Vec<(u32, Vec<i64>)> {
+            let rows = clock.on_clock(samples, 1000, 5000);
+            let times = |row: Vec<ImuSample>| row.iter().map(|sample| sample.at_ns).collect();
+            rows.into_iter().map(|(epoch, row)| (epoch, times(row))).collect()
+        };
+        assert_eq!(sent(&[of((0, 3), 990), of((0, 3), 1010)]), [(0, vec![4990, 5010])]);
+        // The sensor began anew, twice.
+        let later = [of((0, 3), 1020), of((0, 4), 30), of((1, 0), 40)];
+        assert_eq!(sent(&later), [(0, vec![5020]), (1, vec![4030]), (2, vec![4040])]);
+    }
+}
