@@ -14,14 +14,15 @@ use nalgebra::UnitQuaternion;
 use crate::inertial::{Notice, Sensor};
 use crate::rate::RateFilter;
 
-/// Frames that lie farther apart are not compared, seconds: too little of what both show is the same.
+/// Frames that lie farther apart are not compared, seconds: too little of what both show is the
+/// same.
 const LONGEST_STEP_S: f64 = 0.3;
 
 /// Over so long the inertial sensor's rate is averaged where the exposure is not known, seconds.
 const RATE_WIDTH_S: f64 = 0.01;
 
 /// Follows the camera's rotation from frame to frame.
-pub struct Core {
+pub(crate) struct Core {
     camera: Camera,
     gyroscope: Gyroscope,
     sampler: Sampler,
@@ -44,7 +45,7 @@ impl Core {
     ///
     /// # Errors
     /// A mask that cannot be read.
-    pub fn new(resolved: &Resolved, generation: u32) -> anyhow::Result<Self> {
+    pub(crate) fn new(resolved: &Resolved, generation: u32) -> anyhow::Result<Self> {
         let sampler = Sampler::new(&resolved.camera, resolved.mask()?);
         let inertial = &resolved.pipeline.inertial;
         Ok(Self {
@@ -63,7 +64,7 @@ impl Core {
     }
 
     /// Takes in samples of the inertial sensor.
-    pub fn on_samples(&mut self, header: &ImuHeader, samples: &[ImuSample]) {
+    pub(crate) fn on_samples(&mut self, header: &ImuHeader, samples: &[ImuSample]) {
         let Some(sensor) = &mut self.sensor else { return };
         let run = (header.generation, header.epoch);
         if run != self.sensor_run {
@@ -77,7 +78,7 @@ impl Core {
     }
 
     /// What the inertial sensor has done since this was asked last.
-    pub fn take_notices(&mut self) -> Vec<Notice> {
+    pub(crate) fn take_notices(&mut self) -> Vec<Notice> {
         self.sensor.as_mut().map(Sensor::take_notices).unwrap_or_default()
     }
 
@@ -85,7 +86,7 @@ impl Core {
     ///
     /// # Errors
     /// A frame of another size than the camera's.
-    pub fn on_frame(
+    pub(crate) fn on_frame(
         &mut self,
         header: &FrameHeader,
         pixels: &[u8],
@@ -120,7 +121,8 @@ impl Core {
         self.sensor.as_ref().is_some_and(Sensor::counts)
     }
 
-    /// Where the picture's rotation is looked for: where the sensor has it, or where the rate leads.
+    /// Where the picture's rotation is looked for: where the sensor has it, or where the rate
+    /// leads.
     fn expected(
         &self,
         times: Option<(f64, f64)>,

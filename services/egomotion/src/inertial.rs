@@ -1,8 +1,8 @@
 //! The inertial sensor beside the picture: whether it is right, and what it adds where it is.
 //!
-//! The picture is the judge. Bias, mounting and time offset of the sensor are filtered by comparing its
-//! rotations with the picture's ([`SensorErrors`]). A sensor counts once it has agreed while the drone turned,
-//! and until it disagrees in five of fifteen frames.
+//! The picture is the judge. Bias, mounting and time offset of the sensor are filtered by comparing
+//! its rotations with the picture's ([`SensorErrors`]). A sensor counts once it has agreed while
+//! the drone turned, and until it disagrees in five of fifteen frames.
 
 use flockeye_geometry::ego_rotation::Turned;
 use flockeye_geometry::inertial::errors::Corrected;
@@ -12,8 +12,8 @@ use nalgebra::{Matrix3, Vector3};
 /// Time for which samples are kept, seconds: a frame that comes late is still covered.
 const KEEP_S: f64 = 2.0;
 
-/// Sensor and picture agree within this squared Mahalanobis distance: 99.9 % of the comparisons of a sensor that
-/// is right (chi-square, 3 degrees of freedom).
+/// Sensor and picture agree within this squared Mahalanobis distance: 99.9 % of the comparisons of
+/// a sensor that is right (chi-square, 3 degrees of freedom).
 const GATE: f64 = 16.27;
 
 /// Number of comparisons among which [`OUTSIDE`] are counted.
@@ -35,7 +35,7 @@ const AHEAD_S: f64 = 0.5;
 
 /// What is worth a line in the log.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Notice {
+pub(crate) enum Notice {
     /// The sensor agrees with the picture; from now on it counts.
     Agrees {
         /// Its bias along the camera's axes, rad/s.
@@ -54,7 +54,7 @@ pub enum Notice {
 
 /// The inertial sensor, as the picture judges it.
 #[derive(Debug)]
-pub struct Sensor {
+pub(crate) struct Sensor {
     record: RateRecord,
     errors: SensorErrors,
     standing: Standing,
@@ -77,8 +77,8 @@ enum Standing {
 }
 
 impl Sensor {
-    /// A sensor that has said nothing yet.
-    pub fn new() -> Self {
+    /// A sensor before its first sample.
+    pub(crate) fn new() -> Self {
         Self {
             record: RateRecord::new(KEEP_S),
             errors: SensorErrors::new(),
@@ -93,29 +93,29 @@ impl Sensor {
     }
 
     /// Takes in the next sample, in the camera's axes and on the camera's clock.
-    pub fn push(&mut self, sample: RateSample) {
+    pub(crate) fn push(&mut self, sample: RateSample) {
         self.record.push(sample);
     }
 
     /// The sensor's clock begins anew.
-    pub fn begin_epoch(&mut self) {
+    pub(crate) fn begin_epoch(&mut self) {
         self.record.clear();
         self.errors.begin_clock();
     }
 
     /// Whether the sensor counts.
-    pub fn counts(&self) -> bool {
+    pub(crate) fn counts(&self) -> bool {
         self.standing == Standing::Counts
     }
 
     /// What has happened since this was asked last.
-    pub fn take_notices(&mut self) -> Vec<Notice> {
+    pub(crate) fn take_notices(&mut self) -> Vec<Notice> {
         std::mem::take(&mut self.notices)
     }
 
-    /// The rotation between the exposures of two frames by the sensor, with its known errors taken out. `None`
-    /// where samples are missing.
-    pub fn between(&mut self, earlier_s: f64, later_s: f64) -> Option<Corrected> {
+    /// The rotation between the exposures of two frames by the sensor, with its known errors taken
+    /// out. `None` where samples are missing.
+    pub(crate) fn between(&mut self, earlier_s: f64, later_s: f64) -> Option<Corrected> {
         let found = self.errors.turned(&self.record, earlier_s, later_s);
         match found {
             Some(_) => {
@@ -136,9 +136,9 @@ impl Sensor {
         found
     }
 
-    /// Compares the sensor with the picture's rotation over `step_s` seconds. Where the sensor counts and both
-    /// agree, gives the rotation by both.
-    pub fn with_picture(
+    /// Compares the sensor with the picture's rotation over `step_s` seconds. Where the sensor
+    /// counts and both agree, gives the rotation by both.
+    pub(crate) fn with_picture(
         &mut self,
         corrected: &Corrected,
         picture: &Turned,
@@ -178,13 +178,15 @@ impl Sensor {
         }
     }
 
-    /// The rate by the sensor round a time, averaged over `width_s`, rad/s, with its covariance: where it counts.
-    pub fn rate(&self, at_s: f64, width_s: f64) -> Option<(Vector3<f64>, Matrix3<f64>)> {
+    /// The rate by the sensor round a time, averaged over `width_s`, rad/s, with its covariance:
+    /// where it counts.
+    pub(crate) fn rate(&self, at_s: f64, width_s: f64) -> Option<(Vector3<f64>, Matrix3<f64>)> {
         self.counts().then(|| self.errors.rate(&self.record, at_s, width_s)).flatten()
     }
 
-    /// Until when the samples reach beyond an exposure, and the rotation since, where the sensor counts.
-    pub fn ahead(&self, exposure_s: f64) -> Option<(f64, Turned)> {
+    /// Until when the samples reach beyond an exposure, and the rotation since, where the sensor
+    /// counts.
+    pub(crate) fn ahead(&self, exposure_s: f64) -> Option<(f64, Turned)> {
         let newest_s = self.errors.camera_time_s(self.record.newest_s()?);
         let until_s = newest_s.min(exposure_s + AHEAD_S);
         if !self.counts() || until_s <= exposure_s {

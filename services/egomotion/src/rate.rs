@@ -1,9 +1,9 @@
 //! The camera's rate at the middle of an exposure, from the rotations between exposures.
 //!
-//! A rotation between two frames gives the mean rate between them, which is that of half a frame ago. A
-//! drone in gusts changes its rate by some degrees a second meanwhile. So the rate is filtered together
-//! with its change: a Kalman filter with white-noise jerk (Bar-Shalom, Li, Kirubarajan, section 6.2.3), one
-//! for all axes, because all have the same noise.
+//! A rotation between two frames gives the mean rate between them, which is that of half a frame
+//! ago. A drone in gusts changes its rate by some degrees a second meanwhile. So the rate is
+//! filtered together with its change: a Kalman filter with white-noise jerk (Bar-Shalom, Li,
+//! Kirubarajan, section 6.2.3), one for all axes, because all have the same noise.
 
 use flockeye_geometry::ego_rotation::JERK;
 use nalgebra::{Matrix2, Matrix3, RowVector2, Vector3};
@@ -13,7 +13,7 @@ const FIRST_DEVIATIONS: [f64; 2] = [3.0, 10.0];
 
 /// The rate and its change, and how certain both are.
 #[derive(Debug, Clone, PartialEq)]
-pub struct RateFilter {
+pub(crate) struct RateFilter {
     state: Option<State>,
 }
 
@@ -27,24 +27,25 @@ struct State {
 
 impl RateFilter {
     /// Nothing was measured yet.
-    pub fn new() -> Self {
+    pub(crate) fn new() -> Self {
         Self { state: None }
     }
 
     /// Forgets all.
-    pub fn forget(&mut self) {
+    pub(crate) fn forget(&mut self) {
         self.state = None;
     }
 
-    /// The rotation vector that is expected over the next `step_s` seconds, in the camera's axes, radians.
-    pub fn expected(&self, step_s: f64) -> Option<Vector3<f64>> {
+    /// The rotation vector that is expected over the next `step_s` seconds, in the camera's axes,
+    /// radians.
+    pub(crate) fn expected(&self, step_s: f64) -> Option<Vector3<f64>> {
         let state = self.state.as_ref()?;
         Some(state.rate * step_s + state.acceleration * (step_s * step_s / 2.0))
     }
 
     /// Takes in the camera's rotation vector over the last `step_s` seconds, in its axes, with its
-    /// covariance (rad^2), and says what the rate is now (rad/s), with its covariance.
-    pub fn update(
+    /// covariance (rad^2), and returns the rate now (rad/s), with its covariance.
+    pub(crate) fn update(
         &mut self,
         step_s: f64,
         turned: &Vector3<f64>,
@@ -78,9 +79,9 @@ impl RateFilter {
         found
     }
 
-    /// Takes in the rate at the same time from an inertial sensor, rad/s, with its covariance, and says what
-    /// the rate is now. It is called after [`Self::update`].
-    pub fn observe(
+    /// Takes in the rate at the same time from an inertial sensor, rad/s, with its covariance, and
+    /// returns what the rate is now. It is called after [`Self::update`].
+    pub(crate) fn observe(
         &mut self,
         rate: &Vector3<f64>,
         covariance: &Matrix3<f64>,

@@ -13,7 +13,7 @@ use crate::inertial::Notice;
 use crate::words::RotationCount;
 
 /// Takes frames and an inertial sensor's samples; gives the camera's rotation to each frame.
-pub struct EgomotionStage {
+pub(crate) struct EgomotionStage {
     frames: Subscriber<Frames>,
     /// Where there is a sensor.
     imus: Option<Subscriber<Imus>>,
@@ -75,7 +75,7 @@ impl Stage for EgomotionStage {
     }
 }
 
-/// A line for what the inertial sensor has done: each is said once until the next.
+/// A line for what the inertial sensor has done: each is logged once until the next.
 fn log(notice: Notice) {
     let degrees = |rate: Vector3<f64>| {
         let [x, y, z] = rate.map(f64::to_degrees).into();

@@ -1,20 +1,21 @@
-//! What egomotion's health says of the camera's rotation.
+//! The camera's rotation in egomotion's health.
 
 use flockeye_contract::{Rotation, RotationSource};
 use nalgebra::{Matrix3, Vector3};
 
 /// How often the rotation was known since this process started, for its health.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct RotationCount {
+pub(crate) struct RotationCount {
     known: u64,
     frames: u64,
 }
 
 impl RotationCount {
-    /// Counts a frame's rotation, and says in words how the camera turns: its rate and the standard
-    /// deviation stated for it (root of the covariance's trace), both in degrees/s, what it was measured
-    /// by, and of how many frames it was known. At most 96 bytes, as `Health` holds.
-    pub fn in_words(&mut self, rotation: &Rotation) -> String {
+    /// Counts a frame's rotation, and describes how the camera turns: its rate and the standard
+    /// deviation stated for it (root of the covariance's trace), both in degrees/s, what it was
+    /// measured by, and of how many frames it was known. At most 96 bytes, the room that `Health`
+    /// has.
+    pub(crate) fn in_words(&mut self, rotation: &Rotation) -> String {
         self.frames += 1;
         // The contract's check refuses unknown codes before anyone reads them.
         let source = RotationSource::try_from(rotation.source).unwrap_or(RotationSource::Nothing);

@@ -16,10 +16,10 @@ use mavlink::{MavHeader, MessageData};
 use crate::core::{AUTOPILOT, Sender};
 use crate::message::{AutopilotSample, MessageKind, sample};
 
-/// So soon the thread sees that it shall stop while the line is not there.
+/// How often the thread looks whether it shall stop while the line is not there.
 const LOOK: Duration = Duration::from_millis(100);
 
-/// Between two of our heartbeats, which routers want to hear before they send.
+/// Time between two of our heartbeats, without which routers send nothing.
 const HEARTBEAT_PERIOD: Duration = Duration::from_secs(1);
 
 /// Without samples for so long, they are asked for again.
@@ -37,7 +37,7 @@ const ONBOARD_COMPUTER: u8 = 191;
 /// News that wait for the stage: seconds of samples.
 const NEWS: usize = 4096;
 
-/// What the connection has to say.
+/// What comes over the connection.
 #[derive(Debug)]
 pub enum News {
     /// The line is open.
@@ -51,7 +51,7 @@ pub enum News {
     Sample {
         /// Who sent it.
         sender: Sender,
-        /// What it says.
+        /// The sample.
         sample: AutopilotSample,
         /// When it arrived, CLOCK_MONOTONIC, nanoseconds.
         arrived_ns: i64,
@@ -159,7 +159,7 @@ impl Line {
     }
 }
 
-/// What is said to the autopilot, and when.
+/// What is sent to the autopilot, and when.
 #[derive(Debug, Default)]
 struct Dialogue {
     /// The autopilot's system.
@@ -167,7 +167,7 @@ struct Dialogue {
     heartbeat: Option<Instant>,
     sampled: Option<Instant>,
     asked: Option<Instant>,
-    /// Of the next message.
+    /// The number of the next message.
     sequence: u8,
 }
 
@@ -182,8 +182,8 @@ impl Dialogue {
         }
     }
 
-    /// Sends what is due. A line that cannot be written to can still be read, so nothing is made of errors:
-    /// the autopilot may be set to send without being asked.
+    /// Sends what is due. A line that cannot be written to can still be read, so nothing is made of
+    /// errors: the autopilot may be set to send without being asked.
     fn speak(&mut self, writer: &mut LineWriter) {
         let is_due =
             |last: Option<Instant>, period| last.is_none_or(|last| last.elapsed() >= period);

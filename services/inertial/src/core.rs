@@ -3,39 +3,40 @@
 use flockeye_contract::{ImuSample, MAX_IMU_RATE};
 
 use crate::message::{AutopilotSample, MessageKind};
-use crate::sensor_clock::{Mapped, SensorClock};
+use crate::sensor_clock::{ClockReading, SensorClock};
 
-/// After so long without samples another autopilot, or another message, is taken, nanoseconds.
+/// Time without samples after which another autopilot, or another message, is taken, nanoseconds.
 const SILENT_NS: i64 = 1_000_000_000;
 
 /// Who sent a message: system and component.
-pub type Sender = (u32, u8);
+pub(crate) type Sender = (u32, u8);
 
-/// The component that is the autopilot. Gimbals and cameras on the same line have sensors of their own.
-pub const AUTOPILOT: u8 = 1;
+/// The component that is the autopilot. Gimbals and cameras on the same line have sensors of their
+/// own.
+pub(crate) const AUTOPILOT: u8 = 1;
 
 /// The samples of one sensor.
 #[derive(Debug, Default)]
-pub struct Core {
+pub(crate) struct Core {
     clock: SensorClock,
-    heard: Option<Heard>,
+    last: Option<LastSample>,
     epoch: u32,
     has_begun: bool,
     last_at_ns: i64,
 }
 
 #[derive(Debug, Clone, Copy)]
-struct Heard {
+struct LastSample {
     sender: Sender,
     kind: MessageKind,
     at_ns: i64,
 }
 
 impl Core {
-    /// Takes in a sample that arrived at `arrived_ns` (CLOCK_MONOTONIC), and gives it as it goes out. `None`
-    /// where it does not: it is another drone's or another component's, a better message carries the same, it
-    /// is not new, or its rate is none.
-    pub fn on_sample(
+    /// Takes in a sample that arrived at `arrived_ns` (CLOCK_MONOTONIC), and gives it as it goes
+    /// out. `None` where it does not: it is another drone's or another component's, a better
+    /// message carries the same, it is not new, or its rate is none.
+    pub(crate) fn on_sample(
         &mut self,
         sender: Sender,
         sample: &AutopilotSample,
@@ -45,19 +46,19 @@ impl Core {
         if sender.1 != AUTOPILOT || !is_rate {
             return None;
         }
-        let heard = self.heard.filter(|heard| arrived_ns - heard.at_ns < SILENT_NS);
-        if heard.is_some_and(|heard| heard.sender != sender || heard.kind > sample.kind) {
+        let last = self.last.filter(|last| arrived_ns - last.at_ns < SILENT_NS);
+        if last.is_some_and(|last| last.sender != sender || last.kind > sample.kind) {
             return None;
         }
         // Another sensor has another clock.
-        let is_another = heard.is_none_or(|heard| heard.kind != sample.kind);
+        let is_another = last.is_none_or(|last| last.kind != sample.kind);
         if is_another {
             self.clock = SensorClock::default();
         }
-        self.heard = Some(Heard { sender, kind: sample.kind, at_ns: arrived_ns });
+        self.last = Some(LastSample { sender, kind: sample.kind, at_ns: arrived_ns });
         // Autopilots count from their start, or from 1970: both fit.
         let sensor_ns = i64::try_from(sample.time_us).ok()?.checked_mul(1000)?;
-        let Mapped { at_ns, begins_anew } = self.clock.map(sensor_ns, arrived_ns);
+        let ClockReading { at_ns, begins_anew } = self.clock.map(sensor_ns, arrived_ns);
         if begins_anew && std::mem::replace(&mut self.has_begun, true) {
             self.epoch += 1;
             self.last_at_ns = i64::MIN;
@@ -71,13 +72,13 @@ impl Core {
     }
 
     /// Rises each time the sensor's clock begins anew.
-    pub fn epoch(&self) -> u32 {
+    pub(crate) fn epoch(&self) -> u32 {
         self.epoch
     }
 
     /// Whether samples have come within the last second, and in which message.
-    pub fn heard(&self, now_ns: i64) -> Option<MessageKind> {
-        self.heard.filter(|heard| now_ns - heard.at_ns < SILENT_NS).map(|heard| heard.kind)
+    pub(crate) fn newest(&self, now_ns: i64) -> Option<MessageKind> {
+        self.last.filter(|last| now_ns - last.at_ns < SILENT_NS).map(|last| last.kind)
     }
 }
 
@@ -113,8 +114,8 @@ mod tests {
         assert!(taken(OURS, HighresImu, 25, 1025));
         // It falls silent.
         assert!(taken((2, 1), AttitudeQuaternion, 9000, 3000));
-        assert_eq!(core.heard(3100 * MS), Some(AttitudeQuaternion));
-        assert_eq!(core.heard(9000 * MS), None);
+        assert_eq!(core.newest(3100 * MS), Some(AttitudeQuaternion));
+        assert_eq!(core.newest(9000 * MS), None);
     }
 
     #[test]

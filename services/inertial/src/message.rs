@@ -5,7 +5,8 @@ use mavlink::dialects::development::{HighresImuUpdatedFlags, MavMessage};
 /// Which message a sample came in. The later in this list, the better.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum MessageKind {
-    /// `ATTITUDE_QUATERNION`: rates filtered by the autopilot, its bias taken out; time to a millisecond.
+    /// `ATTITUDE_QUATERNION`: rates filtered by the autopilot, its bias taken out; time to a
+    /// millisecond.
     AttitudeQuaternion,
     /// `HIGHRES_IMU`: rate and specific force; time to a microsecond.
     HighresImu,
@@ -24,8 +25,9 @@ pub struct AutopilotSample {
     pub specific_force: [f64; 3],
 }
 
-/// The sample that a message is; `None` for all other messages, and where the gyroscope has nothing new.
-pub fn sample(message: &MavMessage) -> Option<AutopilotSample> {
+/// The sample that a message is; `None` for all other messages, and where the gyroscope has nothing
+/// new.
+pub(crate) fn sample(message: &MavMessage) -> Option<AutopilotSample> {
     match message {
         MavMessage::HIGHRES_IMU(imu) => {
             let gyroscope = HighresImuUpdatedFlags::HIGHRES_IMU_UPDATED_XGYRO

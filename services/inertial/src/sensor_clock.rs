@@ -1,19 +1,21 @@
 //! The autopilot's time on this machine's clock.
 //!
-//! A message's way takes some time, and never less than none. So the least difference of arrival and sensor time
-//! over the last seconds is the offset of the clocks, plus the shortest way. What that way is, and what the
-//! sensor's own filter adds, is in `inertial.time_offset_ms`.
+//! A message's way takes some time, and never less than none. So the least difference of arrival
+//! and sensor time over the last seconds is the offset of the clocks, plus the shortest way. What
+//! that way is, and what the sensor's own filter adds, is in `inertial.time_offset_ms`.
 
-/// Over so long the least difference is taken, in two halves, nanoseconds: clocks of autopilots drift by some
-/// 50 us in a second, so not longer; serial lines have a message without delay in much less.
+/// Over so long the least difference is taken, in two halves, nanoseconds: clocks of autopilots
+/// drift by some 50 us in a second, so not longer; serial lines have a message without delay in
+/// much less.
 const HALF_WINDOW_NS: i64 = 2_500_000_000;
 
-/// A sensor time that goes back by more, or a difference that leaps by more, is another clock, nanoseconds.
+/// A sensor time that goes back by more, or a difference that leaps by more, is another clock,
+/// nanoseconds.
 const LEAP_NS: i64 = 1_000_000_000;
 
 /// Maps the sensor's time to CLOCK_MONOTONIC.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub struct SensorClock {
+pub(crate) struct SensorClock {
     state: Option<State>,
 }
 
@@ -28,7 +30,7 @@ struct State {
 
 /// A sensor's time on this machine's clock.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Mapped {
+pub(crate) struct ClockReading {
     /// CLOCK_MONOTONIC, nanoseconds.
     pub at_ns: i64,
     /// Whether the sensor's clock has begun anew with it.
@@ -37,7 +39,7 @@ pub struct Mapped {
 
 impl SensorClock {
     /// Maps a sensor time that arrived at `arrived_ns` (CLOCK_MONOTONIC).
-    pub fn map(&mut self, sensor_ns: i64, arrived_ns: i64) -> Mapped {
+    pub(crate) fn map(&mut self, sensor_ns: i64, arrived_ns: i64) -> ClockReading {
         let difference_ns = arrived_ns - sensor_ns;
         let state = self.state.take().filter(|state| {
             let least_ns = state.least_ns.min(state.least_before_ns);
@@ -59,7 +61,7 @@ impl SensorClock {
         state.last_sensor_ns = sensor_ns.max(state.last_sensor_ns);
         let at_ns = sensor_ns + state.least_ns.min(state.least_before_ns);
         self.state = Some(state);
-        Mapped { at_ns, begins_anew }
+        ClockReading { at_ns, begins_anew }
     }
 }
 
@@ -104,7 +106,7 @@ mod tests {
         // A message that overtook another is no restart.
         assert!(!clock.map(50_001 * MS, 1006 * MS).begins_anew);
         let restarted = clock.map(100 * MS, 9000 * MS);
-        assert_eq!(restarted, Mapped { at_ns: 9000 * MS, begins_anew: true });
+        assert_eq!(restarted, ClockReading { at_ns: 9000 * MS, begins_anew: true });
         // It got the date from a satellite.
         assert!(clock.map(1_700_000_000_000 * MS, 9005 * MS).begins_anew);
     }

@@ -1,4 +1,4 @@
-//! The port behind the autopilot.
+//! The inertial stage: moves samples from the line to the port.
 
 use std::time::Duration;
 
@@ -12,13 +12,14 @@ use flockeye_runtime::{Context, Stage, Step, clock};
 
 use crate::autopilot::{Autopilot, News};
 use crate::core::Core;
+use crate::line_watch::{LineChange, LineWatch};
 use crate::message::MessageKind;
 
 /// How long the autopilot is waited for between two looks at everything else.
 const WAIT: Duration = Duration::from_millis(20);
 
 /// Takes nothing; gives the samples of an autopilot's inertial sensor.
-pub struct InertialStage {
+pub(crate) struct InertialStage {
     imus: Publisher<Imus>,
     autopilot: Autopilot,
     core: Core,
@@ -26,23 +27,8 @@ pub struct InertialStage {
     generation: u32,
     counters: SharedCounters,
     losses: Throttle,
-    line: Line,
+    line: LineWatch,
 }
-
-/// What is known of the line to the autopilot.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Line {
-    /// It is not there.
-    Lost,
-    /// It is open, and nothing comes since then, CLOCK_MONOTONIC, nanoseconds.
-    Silent { since_ns: i64, is_said: bool },
-    /// Samples come.
-    Heard(MessageKind),
-}
-
-/// A line that is silent for so long after it was opened is said to be, nanoseconds: longer than an autopilot needs
-/// to answer.
-const SILENT_NS: i64 = 3_000_000_000;
 
 impl Stage for InertialStage {
     const NAME: &'static str = "inertial";
@@ -61,20 +47,20 @@ impl Stage for InertialStage {
             generation: context.identity.generation,
             counters: context.counters.clone(),
             losses: Throttle::default(),
-            line: Line::Lost,
+            line: LineWatch::default(),
         })
     }
 
     fn step(&mut self) -> anyhow::Result<Step> {
         let mut samples = Vec::new();
         let mut patience = WAIT;
-        // Not without end: health must be sent however much comes.
+        // The number of messages is bounded: health must be sent however much comes.
         for _ in 0..MAX_IMU_SAMPLES {
             let Some(news) = self.autopilot.next(patience)? else { break };
             patience = Duration::ZERO;
             let epoch = self.core.epoch();
             let sample = self.on_news(news);
-            // A message holds samples of one clock.
+            // A message has samples of one clock.
             if self.core.epoch() != epoch {
                 self.send(epoch, &std::mem::take(&mut samples))?;
             }
@@ -90,12 +76,12 @@ impl InertialStage {
     fn on_news(&mut self, news: News) -> Option<ImuSample> {
         match news {
             News::Opened => {
-                self.line = Line::Silent { since_ns: clock::monotonic_ns(), is_said: false };
+                self.line.open(clock::monotonic_ns());
                 self.counters.set_detail(format!("{}: open, no samples yet", self.source));
                 None
             }
             News::Lost { reason } => {
-                self.line = Line::Lost;
+                self.line.lose();
                 self.counters.set_state(Some(StageState::Degraded));
                 self.counters.set_detail(format!("{}: {reason}", self.source));
                 if let Some(more) = self.losses.admit() {
@@ -123,29 +109,25 @@ impl InertialStage {
         Ok(self.imus.send(header, samples)?)
     }
 
-    /// Says when samples begin, when they stop, and when none come.
+    /// Reports when samples begin, when they stop, and when none come.
     fn watch(&mut self) {
         let now_ns = clock::monotonic_ns();
         let source = &self.source;
-        let silent = match (self.line, self.core.heard(now_ns)) {
-            (Line::Silent { .. }, Some(kind)) => {
+        let silent = match self.line.check(self.core.newest(now_ns), now_ns) {
+            None => return,
+            Some(LineChange::Active(kind)) => {
                 let message = match kind {
                     MessageKind::HighresImu => "HIGHRES_IMU",
                     MessageKind::AttitudeQuaternion => "ATTITUDE_QUATERNION",
                 };
-                self.line = Line::Heard(kind);
                 self.counters.set_state(None);
                 self.counters.set_detail(format!("{source}: samples in {message}"));
                 tracing::info!("{source}: samples come in {message}");
                 return;
             }
-            (Line::Heard(_), None) => "samples have stopped",
-            (Line::Silent { since_ns, is_said: false }, None) if now_ns - since_ns > SILENT_NS => {
-                "no samples come"
-            }
-            _ => return,
+            Some(LineChange::Stopped) => "samples have stopped",
+            Some(LineChange::Silent) => "no samples come",
         };
-        self.line = Line::Silent { since_ns: now_ns, is_said: true };
         self.counters.set_state(Some(StageState::Degraded));
         self.counters.set_detail(format!("{source}: {silent}"));
         tracing::warn!(

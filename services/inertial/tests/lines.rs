@@ -86,7 +86,8 @@ fn an_autopilot_over_udp_is_heard_and_asked_for_samples() {
     let mut half = Vec::new();
     write_v2_msg(&mut half, AUTOPILOT, &imu(1500)).unwrap();
     stranger.send_to(&half[..20], port).unwrap();
-    // The rest of that message is what the reader takes the next bytes for; the one after is whole again.
+    // The rest of that message is what the reader takes the next bytes for; the one after is whole
+    // again.
     let began = Instant::now();
     for time_us in (2000..).step_by(1000) {
         theirs.send(&AUTOPILOT, &imu(time_us)).unwrap();

@@ -1,0 +1,88 @@
+//! Whether samples come over the line to the autopilot: pure.
+
+use crate::message::MessageKind;
+
+/// Silence of a line after it was opened that is reported, nanoseconds: longer than an autopilot
+/// needs to answer.
+const SILENT_NS: i64 = 3_000_000_000;
+
+/// Watches the line.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct LineWatch(LineState);
+
+/// What is known of the line.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+enum LineState {
+    /// It is not there.
+    #[default]
+    Lost,
+    /// It is open, and nothing comes since then, CLOCK_MONOTONIC, nanoseconds.
+    Silent { since_ns: i64, is_reported: bool },
+    /// Samples come.
+    Active,
+}
+
+/// What is to be reported.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum LineChange {
+    /// Samples come in this message.
+    Active(MessageKind),
+    /// Samples have stopped.
+    Stopped,
+    /// No samples come, though the line is open.
+    Silent,
+}
+
+impl LineWatch {
+    /// The line was opened at `now_ns`.
+    pub(crate) fn open(&mut self, now_ns: i64) {
+        self.0 = LineState::Silent { since_ns: now_ns, is_reported: false };
+    }
+
+    /// The line was lost.
+    pub(crate) fn lose(&mut self) {
+        self.0 = LineState::Lost;
+    }
+
+    /// What has changed until `now_ns`, when the newest samples came in the message `newest`;
+    /// `None`: they are too old.
+    pub(crate) fn check(&mut self, newest: Option<MessageKind>, now_ns: i64) -> Option<LineChange> {
+        let change = match (self.0, newest) {
+            (LineState::Silent { .. }, Some(kind)) => {
+                self.0 = LineState::Active;
+                return Some(LineChange::Active(kind));
+            }
+            (LineState::Active, None) => LineChange::Stopped,
+            (LineState::Silent { since_ns, is_reported: false }, None)
+                if now_ns - since_ns > SILENT_NS =>
+            {
+                LineChange::Silent
+            }
+            _ => return None,
+        };
+        self.0 = LineState::Silent { since_ns: now_ns, is_reported: true };
+        Some(change)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn silence_is_reported_once_and_samples_when_they_begin() {
+        let mut line = LineWatch::default();
+        assert_eq!(line.check(None, 9 * SILENT_NS), None, "it is not there");
+        line.open(0);
+        assert_eq!(line.check(None, SILENT_NS), None);
+        assert_eq!(line.check(None, SILENT_NS + 1), Some(LineChange::Silent));
+        assert_eq!(line.check(None, 3 * SILENT_NS), None);
+        let kind = MessageKind::HighresImu;
+        assert_eq!(line.check(Some(kind), 3 * SILENT_NS), Some(LineChange::Active(kind)));
+        assert_eq!(line.check(Some(kind), 4 * SILENT_NS), None);
+        assert_eq!(line.check(None, 5 * SILENT_NS), Some(LineChange::Stopped));
+        assert_eq!(line.check(None, 9 * SILENT_NS), None);
+        line.lose();
+        assert_eq!(line.check(None, 20 * SILENT_NS), None);
+    }
+}
