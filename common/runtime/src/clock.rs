@@ -26,8 +26,8 @@ pub fn processor_ns() -> i64 {
     nanoseconds(clock_gettime(ClockId::ProcessCPUTime))
 }
 
-/// When a frame was exposed, nanoseconds of CLOCK_MONOTONIC. In a lossless run exposures have the recording's clock,
-/// so the publication counts.
+/// When a frame was exposed, nanoseconds of CLOCK_MONOTONIC. In a lossless run exposures have the
+/// recording's clock, so the publication counts.
 pub fn exposure_ns(stamp: &FrameStamp, flow: Flow) -> i64 {
     match flow {
         Flow::Latest => stamp.exposure_ns,

@@ -178,7 +178,8 @@ fn sizes(topic: TopicId, resolved: &Resolved, largest_view_px: u32) -> Sizes {
             Sizes { subscribers: 6, buffer: records_in_flight(resolved), items: MARKERS, ..usual }
         }
         TopicId::FrameEnds => Sizes { buffer: 16, ..usual },
-        // Gateway, ROS 2, autopilot, the successor of one of them, the launcher, recorder, viewer, and tools.
+        // Gateway, ROS 2, autopilot, the successor of one of them, the launcher, recorder, viewer,
+        // and tools.
         TopicId::Tracks => Sizes { subscribers: 10, items: MAX_TRACKS, ..usual },
         // Fusion writes one whenever it has nothing left to do: at worst some hundred each second.
         TopicId::Journals => {

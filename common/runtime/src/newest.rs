@@ -9,8 +9,8 @@ use flockeye_contract::{FrameStamp, Track};
 pub struct Newest(BTreeMap<u32, FrameStamp>);
 
 impl Newest {
-    /// The tracks of a frame that are not late ([`FrameStamp::is_late_beside`]) beside earlier ones of the
-    /// same target.
+    /// The tracks of a frame that are not late ([`FrameStamp::is_late_beside`]) beside earlier ones
+    /// of the same target.
     pub fn tracks<'t>(
         &mut self,
         stamp: &FrameStamp,

@@ -18,8 +18,9 @@ const GATE: f64 = 16.27;
 
 /// Number of comparisons among which [`OUTSIDE`] are counted.
 const WINDOW: u32 = 15;
-/// Number of comparisons outside the gate that makes the sensor wrong. With one in fifty outside, twenty times what a
-/// right sensor has, that happens every three hours at 30 frames/s: p (14 over 4) p^4 (1 - p)^10 a frame.
+/// Number of comparisons outside the gate that makes the sensor wrong. With one in fifty outside,
+/// twenty times what a right sensor has, that happens every three hours at 30 frames/s: p (14 over
+/// 4) p^4 (1 - p)^10 a frame.
 const OUTSIDE: u32 = 5;
 
 /// Comparisons in a row that must agree before a sensor counts. Once it was wrong, twice as many.
