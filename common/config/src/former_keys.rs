@@ -31,7 +31,8 @@ const MOVED: [(&str, &str); 3] = [
 const GONE: [&str; 1] = ["search.costs"];
 
 /// Values that are written in another way now: key, former value, value.
-const REWRITTEN: [(&str, &str, i64); 1] = [("partition.count", "auto", 12)];
+const REWRITTEN: [(&str, &str, &str); 2] =
+    [("partition.count", "auto", "12"), ("search.mode", "gaze", "roi")];
 
 /// Why costs are constants.
 const STATED: &str =
@@ -120,7 +121,8 @@ fn rewritten(document: &mut Node, notices: &mut Vec<String>) {
             "{origin}: {path}: {former} is written {today} now; the next release refuses it"
         ));
         document.take(path);
-        document.put(path, Node { origin, data: Data::Scalar(Value::from(today)) });
+        let value = serde_json::from_str(today).unwrap_or_else(|_| Value::from(today));
+        document.put(path, Node { origin, data: Data::Scalar(value) });
     }
 }
 

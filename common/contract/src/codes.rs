@@ -233,6 +233,8 @@ codes! {
         /// Every partition of every frame.
         Exhaustive = 2,
         /// Magnified views at the predicted neighbours first, then partitions, least recently searched first.
+        /// Messages keep the name by which stages know it; `pipeline.yaml` says `roi`.
+        #[serde(rename = "roi")]
         Gaze = 3,
     }
 }

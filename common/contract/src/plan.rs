@@ -107,7 +107,7 @@ impl PlannedView {
             return Err(ContractError::NotFinite { what: "view rate" });
         }
         if kind == ViewKind::Gaze && self.target == NONE {
-            return Err(ContractError::Missing { what: "target of a gaze view" });
+            return Err(ContractError::Missing { what: "target of a region of interest" });
         }
         if self.has_prediction != 0 {
             self.predicted_camera_from_markers.check()?;

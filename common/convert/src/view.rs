@@ -35,7 +35,7 @@ pub fn view_of(header: &ViewHeader) -> View {
     }
 }
 
-/// A planned view as it is at a frame's exposure: a gaze view turns with its neighbour.
+/// A planned view as it is at a frame's exposure: a region of interest turns with its neighbour.
 pub fn at_exposure(planned: &PlannedView, exposure_ns: i64) -> View {
     let reference_from_view = rotation(planned.camera_from_view);
     let elapsed_s = (exposure_ns - planned.reference_ns) as f64 * 1e-9;
@@ -73,7 +73,7 @@ mod tests {
     }
 
     #[test]
-    fn a_gaze_view_turns_with_its_neighbour() {
+    fn a_region_of_interest_turns_with_its_neighbour() {
         let mut view =
             PlannedView { camera_from_view: [0.0, 0.0, 0.0, 1.0], ..PlannedView::default() };
         view.reference_ns = 1_000_000_000;

@@ -1,17 +1,17 @@
 //! Search plans: where to look in the next frame, in which order, and when to stop.
 //!
 //! The orders are plain functions ([`greedy`], [`optimized`], [`least_recently_searched`],
-//! [`gaze_view`]); a [`Planner`] makes a [`Plan`] of them, from what [`Searched`] remembers.
+//! [`roi_view`]); a [`Planner`] makes a [`Plan`] of them, from what [`Searched`] remembers.
 //!
 //! The sphere is covered by *tiles*, the partition's views, and beside them by *high-resolution
 //! tiles* for neighbours at long range. A tracked neighbour has a *region of interest*, a small view
 //! at where it is predicted.
 
-mod gaze;
+mod roi;
 mod searched;
 mod sweep;
 
-pub use gaze::{GazeOptions, PredictedNeighbour, gaze_view};
+pub use roi::{PredictedNeighbour, RoiOptions, roi_view};
 pub use searched::Searched;
 pub use sweep::least_recently_searched;
 
@@ -32,7 +32,7 @@ pub enum SearchMode {
     Exhaustive,
     /// Magnified views at the predicted neighbours first, then partitions, least recently
     /// searched first.
-    Gaze,
+    Roi,
 }
 
 /// When no further view of a plan is cut.
@@ -54,7 +54,7 @@ pub enum Purpose {
     /// To search this high-resolution tile; they have indices of their own, from 0.
     HighResolution(usize),
     /// To follow this target, by the index of its body.
-    Gaze(usize),
+    Roi(usize),
     /// To look at a place that looks like a body. Whoever has the picture chooses the place.
     Proposal,
 }
@@ -137,7 +137,7 @@ pub struct Planner {
     tiles: Vec<Tile>,
     high_resolution: Vec<Tile>,
     mask: Option<Mask>,
-    gaze: GazeOptions,
+    roi: RoiOptions,
     alternates_windows: bool,
     proposals: Proposals,
 }
@@ -200,10 +200,10 @@ pub enum PlannerError {
         /// Partitions there are.
         partitions: usize,
     },
-    /// An option of the gaze mode is out of its range.
-    #[error("gaze option {name} is {value}: {cure}")]
-    Gaze {
-        /// The field of [`GazeOptions`].
+    /// An option of the mode roi is out of its range.
+    #[error("option of the mode roi, {name} is {value}: {cure}")]
+    Roi {
+        /// The field of [`RoiOptions`].
         name: &'static str,
         /// Its value.
         value: f64,
@@ -216,17 +216,17 @@ impl Planner {
     /// A planner for `mode`; `views` are the partition's own ([`Partition::views`]).
     ///
     /// # Errors
-    /// Views that are not one for each partition; gaze options out of range.
+    /// Views that are not one for each partition; option of the mode roi,s out of range.
     pub fn new(
         mode: SearchMode,
         partition: Partition,
         views: Vec<View>,
-        gaze: GazeOptions,
+        roi: RoiOptions,
     ) -> Result<Self, PlannerError> {
         if views.len() != partition.len() {
             return Err(PlannerError::Views { views: views.len(), partitions: partition.len() });
         }
-        gaze.check()?;
+        roi.check()?;
         let tiles = views.into_iter().map(|view| Tile::new(view, None)).collect();
         Ok(Self {
             mode,
@@ -234,13 +234,13 @@ impl Planner {
             tiles,
             high_resolution: Vec::new(),
             mask: None,
-            gaze,
+            roi,
             alternates_windows: false,
             proposals: Proposals::default(),
         })
     }
 
-    /// In the mode [`SearchMode::Gaze`], also sweeps the sphere with these views of a higher
+    /// In the mode [`SearchMode::Roi`], also sweeps the sphere with these views of a higher
     /// resolution, for neighbours that are too far for the partition's own.
     pub fn with_high_resolution_tiles(mut self, views: Vec<View>) -> Self {
         let tile = |view| Tile::new(view, self.mask.as_ref());
@@ -266,7 +266,7 @@ impl Planner {
         Self { alternates_windows, ..self }
     }
 
-    /// In the mode [`SearchMode::Gaze`], asks for `views` proposals in each frame while one of `targets`
+    /// In the mode [`SearchMode::Roi`], asks for `views` proposals in each frame while one of `targets`
     /// targets is not tracked; in the mode [`SearchMode::Exhaustive`] in each frame.
     pub fn with_proposals(self, targets: usize, views: usize) -> Self {
         Self { proposals: Proposals { targets, views }, ..self }
@@ -287,7 +287,7 @@ impl Planner {
         &self.partition
     }
 
-    /// The plan for the next frame. `neighbours` counts in the mode [`SearchMode::Gaze`] alone.
+    /// The plan for the next frame. `neighbours` counts in the mode [`SearchMode::Roi`] alone.
     ///
     /// The same arguments always give the same plan.
     pub fn plan(&self, searched: &Searched, neighbours: &[PredictedNeighbour]) -> Plan {
@@ -306,7 +306,7 @@ impl Planner {
                 plan.views.extend(vec![PROPOSAL; self.proposals.views]);
                 Plan { view_budget: plan.views.len(), ..plan }
             }
-            SearchMode::Gaze => self.gaze_plan(searched, neighbours),
+            SearchMode::Roi => self.roi_plan(searched, neighbours),
         }
     }
 
@@ -317,17 +317,17 @@ impl Planner {
     /// After [`MAX_FRAMES_WITHOUT_TILE`] frames without a tile, the first tile comes before the proposals:
     /// what is never proposed must be found too.
     ///
-    /// Where there are more than [`GazeOptions::views_before_partition`] neighbours, the first tile
+    /// Where there are more than [`RoiOptions::views_before_partition`] neighbours, the first tile
     /// comes right after that many of their views. So a frame with time for one view more searches at
     /// least one tile, and all N tiles are searched within N such frames, however many neighbours
     /// there are. A neighbour left out comes first in the next frame.
-    fn gaze_plan(&self, searched: &Searched, neighbours: &[PredictedNeighbour]) -> Plan {
-        let mut gazes: Vec<PlannedView> =
-            neighbours.iter().filter_map(|neighbour| gaze_view(neighbour, &self.gaze)).collect();
+    fn roi_plan(&self, searched: &Searched, neighbours: &[PredictedNeighbour]) -> Plan {
+        let mut regions: Vec<PlannedView> =
+            neighbours.iter().filter_map(|neighbour| roi_view(neighbour, &self.roi)).collect();
         if let Some(mask) = &self.mask {
-            gazes.retain(|planned| !mask.hides_view(&planned.view));
+            regions.retain(|planned| !mask.hides_view(&planned.view));
         }
-        gazes.sort_by_key(|planned| searched.last_searched(planned.purpose));
+        regions.sort_by_key(|planned| searched.last_searched(planned.purpose));
         let order =
             least_recently_searched(searched, visible(&self.tiles), visible(&self.high_resolution));
         let tiles = self.tile_views(searched, &order);
@@ -335,15 +335,16 @@ impl Planner {
             Proposals { targets, views } if neighbours.len() < targets => views,
             _ => 0,
         };
-        let view_budget = gazes.len() + proposals + self.gaze.partitions_per_frame.min(tiles.len());
-        let mut views = gazes;
+        let view_budget =
+            regions.len() + proposals + self.roi.partitions_per_frame.min(tiles.len());
+        let mut views = regions;
         let (first, others) = tiles.split_at(tiles.len().min(1));
-        let is_crowded = views.len() > self.gaze.views_before_partition;
+        let is_crowded = views.len() > self.roi.views_before_partition;
         let is_tile_due = searched.frames_without_tile() >= MAX_FRAMES_WITHOUT_TILE;
         let mut rest = vec![PROPOSAL; proposals];
         match (is_crowded, is_tile_due) {
             (true, _) => {
-                let early = self.gaze.views_before_partition;
+                let early = self.roi.views_before_partition;
                 views.splice(early..early, first.iter().copied());
             }
             (false, true) => views.extend_from_slice(first),
@@ -360,7 +361,7 @@ impl Planner {
             let tile = match *purpose {
                 Purpose::Partition(index) => self.tiles.get(index)?,
                 Purpose::HighResolution(index) => self.high_resolution.get(index)?,
-                Purpose::Gaze(_) | Purpose::Proposal => return None,
+                Purpose::Roi(_) | Purpose::Proposal => return None,
             };
             (!tile.is_hidden).then(|| PlannedView {
                 view: tile.view,

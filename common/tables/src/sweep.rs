@@ -86,13 +86,13 @@ impl Sweep {
         }
     }
 
-    /// Starts with the partitions of a pipeline. `None` unless the search mode is gaze: other modes
+    /// Starts with the partitions of a pipeline. `None` unless the search mode is roi: other modes
     /// search from the beginning in each frame.
     ///
     /// # Errors
     /// The configuration names files or a partition that cannot be used.
     pub fn of(resolved: &Resolved) -> anyhow::Result<Option<Self>> {
-        if !resolved.pipeline.gazes() {
+        if !resolved.pipeline.has_regions() {
             return Ok(None);
         }
         let mask = resolved.mask()?;

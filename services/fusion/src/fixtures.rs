@@ -9,7 +9,7 @@ use std::sync::Arc;
 use flockeye_geometry::body::{Bodies, Body};
 use flockeye_geometry::filter::{MotionModel, TrackPolicy};
 use flockeye_geometry::partition::Partition;
-use flockeye_geometry::search::{GazeOptions, Plan, Planner, Purpose, SearchMode};
+use flockeye_geometry::search::{Plan, Planner, Purpose, RoiOptions, SearchMode};
 use flockeye_imaging::align::Picture;
 use flockeye_imaging::light::{CodeRange, LinearLight, TransferCurve};
 use nalgebra::Isometry3;
@@ -46,8 +46,8 @@ pub fn tracker_of(bodies: Vec<Body>, threads: usize) -> Tracker {
 pub fn planner() -> Planner {
     let partition = Partition::icosahedron();
     let views = partition.views(0.1, PIXELS_PER_RADIAN).unwrap();
-    let gaze = GazeOptions::new(PIXELS_PER_RADIAN);
-    Planner::new(SearchMode::Gaze, partition, views, gaze).unwrap()
+    let roi = RoiOptions::new(PIXELS_PER_RADIAN);
+    Planner::new(SearchMode::Roi, partition, views, roi).unwrap()
 }
 
 /// The first plan of a process.
@@ -113,7 +113,7 @@ pub fn time(sequence: u64) -> FrameTime {
 
 /// A record of alpha's region of interest.
 pub fn of_region(record: &Record) -> AnsweredView<'_> {
-    AnsweredView { record, purpose: Some(Purpose::Gaze(0)), view: None }
+    AnsweredView { record, purpose: Some(Purpose::Roi(0)), view: None }
 }
 
 /// A record of a tile.

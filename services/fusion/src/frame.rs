@@ -179,8 +179,7 @@ impl<P> OpenFrame<P> {
         let (purpose, stop_rule) = (self.purpose_of(view_index), self.stop_rule());
         let quality = |number: usize| {
             let target = &targets[number];
-            let (is_own, is_tracked) =
-                (purpose == Some(Purpose::Gaze(number)), target.is_tracked());
+            let (is_own, is_tracked) = (purpose == Some(Purpose::Roi(number)), target.is_tracked());
             let body = &target.body;
             let quality = ViewQuality::of(record, view, body, is_own, is_tracked, stop_rule)?;
             Some((number, quality))

@@ -155,7 +155,7 @@ impl AnsweredView<'_> {
     /// The target whose region of interest the view is.
     pub fn region_of(&self) -> Option<usize> {
         match self.purpose? {
-            Purpose::Gaze(target) => Some(target),
+            Purpose::Roi(target) => Some(target),
             Purpose::Partition(_) | Purpose::HighResolution(_) | Purpose::Proposal => None,
         }
     }

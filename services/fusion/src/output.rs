@@ -178,7 +178,7 @@ impl Writer {
         let reference_ns = nanoseconds(reference_s);
         let views = plan.views.iter().take(contract::MAX_PLANNED_VIEWS).map(|planned| {
             let search = match planned.purpose {
-                Purpose::Gaze(target) if unsearched.contains(&target) => Search::Nothing,
+                Purpose::Roi(target) if unsearched.contains(&target) => Search::Nothing,
                 _ => planned.search,
             };
             planned_view(planned, predictions, reference_ns, search)
@@ -280,11 +280,11 @@ fn planned_view(
     let (kind, tile, target) = match planned.purpose {
         Purpose::Partition(tile) => (ViewKind::Partition, tile as u32, NONE),
         Purpose::HighResolution(tile) => (ViewKind::HighResolution, tile as u32, NONE),
-        Purpose::Gaze(target) => (ViewKind::Gaze, NONE, target as u32),
+        Purpose::Roi(target) => (ViewKind::Gaze, NONE, target as u32),
         Purpose::Proposal => (ViewKind::Proposal, NONE, NONE),
     };
     let prediction = match planned.purpose {
-        Purpose::Gaze(target) => predictions.get(&target),
+        Purpose::Roi(target) => predictions.get(&target),
         Purpose::Partition(_) | Purpose::HighResolution(_) | Purpose::Proposal => None,
     };
     contract::PlannedView {

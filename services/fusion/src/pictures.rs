@@ -72,7 +72,7 @@ impl PictureReader {
         let reader = &*self;
         unanswered()
             .filter_map(|(header, pixels)| {
-                let Some(Purpose::Gaze(target)) = purpose_of(header) else { return None };
+                let Some(Purpose::Roi(target)) = purpose_of(header) else { return None };
                 Some(Region { target, view: reader.read(header, pixels)? })
             })
             .collect()

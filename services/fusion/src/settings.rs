@@ -49,7 +49,7 @@ pub fn configured<P: Pixels>(
         search_mode(pipeline),
         resolved.division.partition.clone(),
         resolved.partition_views.clone(),
-        resolved.gaze_options,
+        resolved.roi_options,
     )?
     .with_high_resolution_tiles(resolved.high_resolution_tiles.clone())
     .with_alternating_windows(pipeline.alternates_windows())
@@ -133,7 +133,7 @@ fn search_mode(pipeline: &Pipeline) -> SearchMode {
     match pipeline.search.mode {
         contract::SearchMode::Greedy => SearchMode::Greedy,
         contract::SearchMode::Optimized => SearchMode::Optimized,
-        contract::SearchMode::Gaze if pipeline.has_tracks() => SearchMode::Gaze,
+        contract::SearchMode::Gaze if pipeline.has_tracks() => SearchMode::Roi,
         contract::SearchMode::Exhaustive | contract::SearchMode::Gaze => SearchMode::Exhaustive,
     }
 }

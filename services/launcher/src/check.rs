@@ -7,6 +7,7 @@ use anyhow::{Context, ensure};
 use clap::Args;
 use flockeye_cli::{Configuration, Screen, duration, signals};
 use flockeye_config::{FrameLimit, Profile, RecordingTrigger, Resolved};
+use flockeye_contract::SearchMode;
 use flockeye_dictionary::Dictionary;
 use flockeye_geometry::partition;
 use flockeye_network::NetworkParameters;
@@ -177,9 +178,12 @@ fn plan(resolved: &Resolved, budget: &Budget) -> anyhow::Result<String> {
 /// How frames are searched, and how often each part of the sphere is.
 fn search(resolved: &Resolved, partitions: usize) -> anyhow::Result<String> {
     let pipeline = &resolved.pipeline;
-    let mode = pipeline.search.mode.name().to_owned();
-    if !pipeline.gazes() {
-        return Ok(mode);
+    let mode = match pipeline.search.mode {
+        SearchMode::Gaze => "roi",
+        other => other.name(),
+    };
+    if !pipeline.has_regions() {
+        return Ok(mode.to_owned());
     }
     let mask = resolved.mask()?;
     let far: Vec<_> =
@@ -198,7 +202,7 @@ fn search(resolved: &Resolved, partitions: usize) -> anyhow::Result<String> {
 
 /// How often each part of the sphere is searched, where nothing limits the work on a frame.
 fn sweep_of_all(resolved: &Resolved, partitions: usize, far: usize) -> String {
-    let each = resolved.gaze_options.partitions_per_frame;
+    let each = resolved.roi_options.partitions_per_frame;
     // One of each kind in turn, until those of the smaller kind come a second time.
     let frames = |count: usize| if far == 0 { count } else { 2 * count }.div_ceil(each);
     let mut text =

@@ -24,7 +24,7 @@ use flockeye_rectification::gpu::{FoundAdapter, GpuRectifier};
 use flockeye_rectification::rectifier::Rectifier;
 use rustix::time::{ClockId, clock_gettime};
 
-use self::scene::{Scene, buffer, equirectangular, gaze, partition};
+use self::scene::{Scene, buffer, equirectangular, partition, region};
 
 /// Frames that are measured, after as many as fill the slots and warm up the clock.
 const FRAMES: u64 = 60;
@@ -61,7 +61,7 @@ fn twelve() -> Vec<Cut> {
 
 /// The partition's views, and as many regions of interest.
 fn more() -> Vec<Cut> {
-    let regions = (0..12).map(|k| Cut::cubic(gaze(8 * k)));
+    let regions = (0..12).map(|k| Cut::cubic(region(8 * k)));
     twelve().into_iter().chain(regions).collect()
 }
 

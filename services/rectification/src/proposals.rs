@@ -97,7 +97,7 @@ impl ProposalChooser {
             is_single,
             mask: resolved.mask()?.clone(),
             pixels_per_radian,
-            size_max_px: resolved.gaze_options.size_max_px,
+            size_max_px: resolved.roi_options.size_max_px,
             places: Vec::new(),
             planned: Vec::new(),
             frames: 0,

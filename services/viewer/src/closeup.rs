@@ -8,7 +8,7 @@ use flockeye_convert::{RadianceCache, isometry};
 use flockeye_dictionary::Dictionary;
 use flockeye_geometry::body::Bodies;
 use flockeye_geometry::camera::Camera;
-use flockeye_geometry::search::{GazeOptions, PredictedNeighbour, gaze_view};
+use flockeye_geometry::search::{PredictedNeighbour, RoiOptions, roi_view};
 use flockeye_imaging::align::{AlignOptions, BodyPrint, Picture, depict};
 use flockeye_imaging::image::LumaImage;
 use flockeye_imaging::sphere::{Cut, Interpolation, SphereImage, rectify_into};
@@ -22,7 +22,7 @@ pub struct CloseupMaker {
     bodies: Bodies,
     prints: Vec<BodyPrint>,
     camera: Camera,
-    gaze: GazeOptions,
+    roi: RoiOptions,
     observer_from_camera: Isometry3<f64>,
     radiances: RadianceCache,
 }
@@ -40,7 +40,7 @@ impl CloseupMaker {
             bodies: resolved.bodies.clone(),
             prints: prints.collect::<Result<_, _>>().context("a body cannot be drawn")?,
             camera: resolved.camera,
-            gaze: resolved.gaze_options,
+            roi: resolved.roi_options,
             observer_from_camera: resolved.observer_from_camera,
             radiances: RadianceCache::new(resolved.measured_response)?,
         })
@@ -79,7 +79,7 @@ impl CloseupMaker {
             &Matrix3::zeros(),
             &Vector3::zeros(),
         );
-        let Some(planned) = seen.and_then(|seen| gaze_view(&seen, &self.gaze)) else {
+        let Some(planned) = seen.and_then(|seen| roi_view(&seen, &self.roi)) else {
             return Ok(None);
         };
         let view = planned.view;

@@ -111,7 +111,7 @@ fn searches_are_compared_on_the_same_flight() {
     let rows = found["rows"].as_array().expect("rows");
     assert_eq!(
         rows.iter().map(|row| &row["mode"]).collect::<Vec<_>>(),
-        ["greedy", "optimized", "gaze"]
+        ["greedy", "optimized", "roi"]
     );
     for row in rows {
         assert_eq!(row["frames"], 12, "{row}");

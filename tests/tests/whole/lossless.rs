@@ -50,7 +50,7 @@ fn fly_as(backend: &str, mode: &str, workers: u32, more: &[&str]) -> Flown {
         };
         tape.tracks.iter().flat_map(|(_, tracks)| tracks).filter(is_measured).count() as u64
     });
-    let sees_all = mode.ends_with("gaze") || mode.ends_with("exhaustive");
+    let sees_all = mode.ends_with("roi") || mode.ends_with("exhaustive");
     let least = if sees_all { FRAMES / 8 } else { 0 };
     assert!(
         measured.iter().all(|&count| count >= least) && measured.iter().sum::<u64>() > FRAMES / 2,
@@ -104,9 +104,9 @@ fn assert_same(left: &Flown, right: &Flown, what: &str) {
 
 #[test]
 fn the_same_flight_gives_the_same_bytes_twice_and_with_any_number_of_workers() {
-    let first = fly("gaze", 1);
-    assert_same(&first, &fly("gaze", 1), "a second time");
-    assert_same(&first, &fly("gaze", 3), "with three workers");
+    let first = fly("roi", 1);
+    assert_same(&first, &fly("roi", 1), "a second time");
+    assert_same(&first, &fly("roi", 3), "with three workers");
 }
 
 #[test]
@@ -145,8 +145,8 @@ fn views_cut_by_a_graphics_processor_give_the_same_bytes_twice() {
         absent(VULKAN, "a Vulkan driver");
         return;
     }
-    let first = fly_with("gpu", "gaze", 1);
-    assert_same(&first, &fly_with("gpu", "gaze", 3), "with three workers");
+    let first = fly_with("gpu", "roi", 1);
+    assert_same(&first, &fly_with("gpu", "roi", 3), "with three workers");
 }
 
 /// The measured positions of a flight by frame and target.

@@ -111,7 +111,7 @@ fn an_untracked_target_is_found_before_the_sphere_is_searched_twice() {
     flight.wait_for("alpha confirmed");
     let pipeline = flight.instance.pipeline().expect("it was written");
     let resolved = Resolved::of(pipeline).expect("the launcher resolved it too");
-    let mut sweep = Sweep::of(&resolved).expect("it runs").expect("gaze sweeps");
+    let mut sweep = Sweep::of(&resolved).expect("it runs").expect("the mode roi sweeps");
     let mut ports = onlooker::join(&mut flight);
     let mut plans = onlooker::subscribe::<Plans>(&mut flight, &mut ports);
     let mut records = onlooker::subscribe::<Detections>(&mut flight, &mut ports);

@@ -182,7 +182,7 @@ const WRONG: &[(&str, &[&str])] = &[
         "flow: lossless\nfusion: {filter: none}\nsearch: {budget: unlimited}",
         &["line 3", "search.budget: ", "stills have no other budget", "profile: stills"],
     ),
-    ("search: {mode: gazee}", &["greedy, optimized, exhaustive, gaze", "did you mean 'gaze'?"]),
+    ("search: {mode: ro}", &["greedy, optimized, exhaustive, roi", "did you mean 'roi'?"]),
     (
         "fusion:\n  confirm_hits: 6",
         &[
@@ -331,9 +331,9 @@ fn overrides_are_checked_like_the_file() {
     let overrides = ["search.mode=exhaustive".to_owned(), "profile=stills".to_owned()];
     let pipeline = Pipeline::parse("", &overrides, "pipeline.yaml").unwrap();
     assert_eq!((pipeline.search.mode, pipeline.profile), (SearchMode::Exhaustive, Profile::Stills));
-    let error = Pipeline::parse("", &["serach.mode=gaze".to_owned()], "x").unwrap_err().to_string();
+    let error = Pipeline::parse("", &["serach.mode=roi".to_owned()], "x").unwrap_err().to_string();
     assert!(
-        error.contains("--set serach.mode=gaze") && error.contains("did you mean 'search'?"),
+        error.contains("--set serach.mode=roi") && error.contains("did you mean 'search'?"),
         "{error}"
     );
 }
@@ -450,6 +450,7 @@ fn keys_that_are_constants_now_are_read_with_their_values_and_refused_with_other
     assert_eq!(parse("search: {costs: {processors: 4}}").unwrap().search.processors, 4.0);
     let set = ["search.costs.processors=4".to_owned(), "fusion.restart_after_gated=3".to_owned()];
     assert_eq!(Pipeline::parse("", &set, "x").unwrap().search.processors, 4.0);
+    assert_eq!(parse("search: {mode: gaze}").unwrap(), parse("search: {mode: roi}").unwrap());
     let other = ["fusion.history_s=0.6".to_owned()];
     let refused = Pipeline::parse("", &other, "x").unwrap_err().to_string();
     assert!(
@@ -473,7 +474,7 @@ fn what_constants_a_former_key_names_is_what_the_code_has() {
         costs.corner_pass_ms,
         costs.initiation_ms,
         costs.background_pass_ms,
-        resolved(&Pipeline::default()).gaze_options.partitions_per_frame as f64,
+        resolved(&Pipeline::default()).roi_options.partitions_per_frame as f64,
         f64::from(policy.confirm_hits),
         f64::from(policy.confirm_window),
         policy.history_s,

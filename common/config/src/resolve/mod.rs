@@ -13,7 +13,7 @@ use flockeye_geometry::body::Bodies;
 use flockeye_geometry::camera::Camera;
 use flockeye_geometry::mask::Mask;
 use flockeye_geometry::partition::PartitionError;
-use flockeye_geometry::search::GazeOptions;
+use flockeye_geometry::search::RoiOptions;
 use flockeye_geometry::view::View;
 use nalgebra::Isometry3;
 
@@ -74,8 +74,8 @@ pub struct Resolved {
     pub partition_views: Vec<View>,
     /// The views that sweep the sphere for neighbours too far for the partitions; may be none.
     pub high_resolution_tiles: Vec<View>,
-    /// How gaze views are cut from this camera's frames.
-    pub gaze_options: GazeOptions,
+    /// How regions of interest are cut from this camera's frames.
+    pub roi_options: RoiOptions,
     mask: OnceLock<Mask>,
 }
 
@@ -103,9 +103,9 @@ impl Resolved {
             measured_response: camera::measured_response(&pipeline.camera)?,
             partition_views: division.views(&pipeline, &camera)?,
             high_resolution_tiles: high_resolution_tiles(&pipeline, &camera)?,
-            gaze_options: GazeOptions {
+            roi_options: RoiOptions {
                 partitions_per_frame: UNLIMITED_TILES,
-                ..GazeOptions::new(camera.pixels_per_radian())
+                ..RoiOptions::new(camera.pixels_per_radian())
             },
             mask: OnceLock::new(),
             pipeline,
@@ -154,6 +154,6 @@ impl Resolved {
     pub fn largest_view_px(&self) -> u32 {
         let views = self.partition_views.iter().chain(&self.high_resolution_tiles);
         let largest = views.map(|view| view.size_px).max().unwrap_or(0);
-        largest.max(self.gaze_options.size_max_px)
+        largest.max(self.roi_options.size_max_px)
     }
 }

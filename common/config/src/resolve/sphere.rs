@@ -123,7 +123,7 @@ impl Division {
 
 /// The high-resolution views for neighbours too far for the partitions: the stored covering with the
 /// most views, at the sphere's resolution times `search.far_magnification`. None where the partitions
-/// see as much, and where no gaze view would follow.
+/// see as much, and where no region of interest would follow.
 ///
 /// # Errors
 /// A margin that leaves no view; views that no message can carry.
@@ -132,7 +132,7 @@ pub(crate) fn high_resolution_tiles(
     camera: &Camera,
 ) -> Result<Vec<View>, SphereViewsError> {
     let far_magnification = pipeline.search.far_magnification;
-    if !pipeline.gazes() || far_magnification <= pipeline.tile_magnification() {
+    if !pipeline.has_regions() || far_magnification <= pipeline.tile_magnification() {
         return Ok(Vec::new());
     }
     let count = *partition::STORED.end();

@@ -159,7 +159,7 @@ impl Pipeline {
 
     /// Whether each neighbour is searched where it is predicted, and the sphere is swept in the remaining
     /// time. Without tracks there is no prediction, and the whole sphere is searched.
-    pub fn gazes(&self) -> bool {
+    pub fn has_regions(&self) -> bool {
         self.search.mode == SearchMode::Gaze && self.has_tracks()
     }
 
@@ -174,7 +174,7 @@ impl Pipeline {
     /// more such places.
     pub fn proposals(&self) -> usize {
         let proposals = self.search.proposals as usize;
-        match (self.gazes(), self.has_single_images()) {
+        match (self.has_regions(), self.has_single_images()) {
             (true, _) => proposals,
             (false, true) => 2 * proposals,
             (false, false) => 0,
@@ -183,7 +183,7 @@ impl Pipeline {
 
     /// Whether a tile is searched with one threshold window at a time, the windows in turn.
     pub fn alternates_windows(&self) -> bool {
-        self.gazes() && self.is_limited()
+        self.has_regions() && self.is_limited()
     }
 
     /// Pixels of a tile for each of the sphere's, along a side.
@@ -225,7 +225,7 @@ mod tests {
     fn tiles_alternate_windows_where_targets_are_followed_and_time_is_limited() {
         let says = |profile, mode| {
             let pipeline = of(profile, mode);
-            (pipeline.gazes(), pipeline.alternates_windows())
+            (pipeline.has_regions(), pipeline.alternates_windows())
         };
         assert_eq!(says(Profile::Flight, SearchMode::Gaze), (true, true));
         assert_eq!(says(Profile::Repeat, SearchMode::Gaze), (true, true));

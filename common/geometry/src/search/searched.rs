@@ -53,7 +53,7 @@ impl Searched {
         if let Some(tile) = self.tile_mut(purpose) {
             tile.frame = Some(frame);
             self.last_of_tile = Some(frame);
-        } else if let Purpose::Gaze(target) = purpose {
+        } else if let Purpose::Roi(target) = purpose {
             self.targets.insert(target, frame);
         }
     }
@@ -95,7 +95,7 @@ impl Searched {
     /// The frame in which this was last searched; `None`, which sorts before every frame, if never.
     pub fn last_searched(&self, purpose: Purpose) -> Option<u64> {
         match purpose {
-            Purpose::Gaze(target) => self.targets.get(&target).copied(),
+            Purpose::Roi(target) => self.targets.get(&target).copied(),
             _ => self.tile(purpose)?.frame,
         }
     }
@@ -113,7 +113,7 @@ impl Searched {
         match purpose {
             Purpose::Partition(index) => self.partitions.get(index),
             Purpose::HighResolution(index) => self.high_resolution.get(index),
-            Purpose::Gaze(_) | Purpose::Proposal => None,
+            Purpose::Roi(_) | Purpose::Proposal => None,
         }
     }
 
@@ -121,7 +121,7 @@ impl Searched {
         match purpose {
             Purpose::Partition(index) => self.partitions.get_mut(index),
             Purpose::HighResolution(index) => self.high_resolution.get_mut(index),
-            Purpose::Gaze(_) | Purpose::Proposal => None,
+            Purpose::Roi(_) | Purpose::Proposal => None,
         }
     }
 }

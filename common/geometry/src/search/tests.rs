@@ -8,10 +8,10 @@ use crate::body::squares;
 
 const RESOLUTION: f64 = 3840.0 / std::f64::consts::TAU;
 
-fn planner(mode: SearchMode, gaze: GazeOptions) -> Planner {
+fn planner(mode: SearchMode, roi: RoiOptions) -> Planner {
     let partition = Partition::icosahedron();
     let views = partition.views(0.1, RESOLUTION).unwrap();
-    Planner::new(mode, partition, views, gaze).unwrap()
+    Planner::new(mode, partition, views, roi).unwrap()
 }
 
 fn neighbour(target: usize) -> PredictedNeighbour {
@@ -39,7 +39,7 @@ fn targets(plan: &Plan) -> Vec<usize> {
     plan.views
         .iter()
         .filter_map(|planned| match planned.purpose {
-            Purpose::Gaze(target) => Some(target),
+            Purpose::Roi(target) => Some(target),
             _ => None,
         })
         .collect()
@@ -65,14 +65,14 @@ fn algorithm_1_begins_where_the_last_detection_was() {
 
 #[test]
 fn the_papers_modes_stop_at_the_first_hit() {
-    let gaze = GazeOptions::new(RESOLUTION);
+    let roi = RoiOptions::new(RESOLUTION);
     let mut searched = Searched::new(12, 0);
     let neighbours = [neighbour(0)];
-    let optimized = planner(SearchMode::Optimized, gaze);
-    let greedy = planner(SearchMode::Greedy, gaze);
+    let optimized = planner(SearchMode::Optimized, roi);
+    let greedy = planner(SearchMode::Greedy, roi);
     assert_eq!(optimized.plan(&searched, &neighbours), greedy.plan(&searched, &neighbours));
     searched.hit(Purpose::Partition(7));
-    searched.hit(Purpose::Gaze(0));
+    searched.hit(Purpose::Roi(0));
     searched.hit(Purpose::Partition(99));
     assert_eq!(searched.last_hit(), Some(7));
     let plan = optimized.plan(&searched, &neighbours);
@@ -81,13 +81,13 @@ fn the_papers_modes_stop_at_the_first_hit() {
     let plan = greedy.plan(&searched, &neighbours);
     assert_eq!(partitions(&plan), (0..12).collect::<Vec<_>>());
     assert_eq!(plan.stop_rule, StopRule::FirstHit);
-    let plan = planner(SearchMode::Exhaustive, gaze).plan(&searched, &neighbours);
+    let plan = planner(SearchMode::Exhaustive, roi).plan(&searched, &neighbours);
     assert_eq!((plan.stop_rule, plan.view_budget, plan.views.len()), (StopRule::All, 12, 12));
 }
 
 #[test]
-fn a_plan_gazes_first_and_then_goes_round() {
-    let planner = planner(SearchMode::Gaze, GazeOptions::new(RESOLUTION));
+fn a_plan_follows_first_and_then_goes_round() {
+    let planner = planner(SearchMode::Roi, RoiOptions::new(RESOLUTION));
     let mut searched = Searched::new(12, 0);
     for part in [0, 1, 2] {
         searched.record(1, Purpose::Partition(part));
@@ -97,7 +97,7 @@ fn a_plan_gazes_first_and_then_goes_round() {
     let plan = planner.plan(&searched, &[neighbour(2), neighbour(1)]);
     assert_eq!(targets(&plan), [2, 1]);
     assert_eq!(partitions(&plan), [3, 4, 5, 6, 7, 8, 9, 10, 11, 0, 2, 1]);
-    assert!(matches!(plan.views[1].purpose, Purpose::Gaze(1)));
+    assert!(matches!(plan.views[1].purpose, Purpose::Roi(1)));
     assert_eq!((plan.stop_rule, plan.view_budget), (StopRule::Deadline, 4));
     assert_eq!(plan.views[0].rate_in_camera, neighbour(2).rate_in_camera);
     assert_eq!(plan.views[2].rate_in_camera, Vector3::zeros());
@@ -106,19 +106,19 @@ fn a_plan_gazes_first_and_then_goes_round() {
 #[test]
 fn a_crowd_does_not_hide_the_partitions_nor_each_other() {
     // Time for five views a frame, and nine neighbours.
-    let planner = planner(SearchMode::Gaze, GazeOptions::new(RESOLUTION));
+    let planner = planner(SearchMode::Roi, RoiOptions::new(RESOLUTION));
     let neighbours: Vec<_> = (0..9).map(neighbour).collect();
     let mut searched = Searched::new(12, 0);
-    let mut gazed = [0; 9];
+    let mut followed = [0; 9];
     for frame in 0..36 {
         for planned in &planner.plan(&searched, &neighbours).views[..5] {
             searched.record(frame, planned.purpose);
-            if let Purpose::Gaze(target) = planned.purpose {
-                gazed[target] += 1;
+            if let Purpose::Roi(target) = planned.purpose {
+                followed[target] += 1;
             }
         }
     }
-    assert!(gazed.iter().all(|&frames| frames >= 12), "{gazed:?}");
+    assert!(followed.iter().all(|&frames| frames >= 12), "{followed:?}");
     for part in 0..12 {
         assert!(searched.last_searched(Purpose::Partition(part)).unwrap() >= 24);
     }
@@ -126,9 +126,9 @@ fn a_crowd_does_not_hide_the_partitions_nor_each_other() {
 
 /// A planner with 12 partitions and 32 high-resolution tiles.
 fn fine_planner(partitions_per_frame: usize) -> Planner {
-    let gaze = GazeOptions { partitions_per_frame, ..GazeOptions::new(RESOLUTION) };
+    let roi = RoiOptions { partitions_per_frame, ..RoiOptions::new(RESOLUTION) };
     let fine = Partition::stored(32).unwrap().views(0.05, 2.0 * RESOLUTION).unwrap();
-    planner(SearchMode::Gaze, gaze).with_high_resolution_tiles(fine)
+    planner(SearchMode::Roi, roi).with_high_resolution_tiles(fine)
 }
 
 #[test]
@@ -177,7 +177,7 @@ fn high_resolution_tiles_that_the_mask_hides_are_not_planned() {
     assert_eq!(plan.views.len() - fine, 12 - planner.hidden_partitions());
     // Whichever is given first.
     let tiles = fine_planner(4).high_resolution.iter().map(|tile| tile.view).collect();
-    let other = self::planner(SearchMode::Gaze, planner.gaze).with_mask(mask);
+    let other = self::planner(SearchMode::Roi, planner.roi).with_mask(mask);
     assert_eq!(other.with_high_resolution_tiles(tiles), planner);
 }
 
@@ -198,7 +198,7 @@ fn windows_alternate_for_each_tile_and_neighbours_get_all() {
         let plan = planner.plan(&searched, &[neighbour(0)]);
         assert_eq!(plan.views.len(), 45);
         for planned in &plan.views {
-            let is_followed = matches!(planned.purpose, Purpose::Gaze(_));
+            let is_followed = matches!(planned.purpose, Purpose::Roi(_));
             let wanted = if is_followed { Search::AllWindows } else { window };
             assert_eq!(planned.search, wanted, "{:?}", planned.purpose);
             searched.record(frame as u64, planned.purpose);
@@ -224,8 +224,8 @@ proptest! {
         partitions_per_frame in 1usize..14,
         history in proptest::collection::vec((0u64..50, 0usize..12), 0..40),
     ) {
-        let gaze = GazeOptions { partitions_per_frame, ..GazeOptions::new(RESOLUTION) };
-        let planner = planner(SearchMode::Gaze, gaze);
+        let roi = RoiOptions { partitions_per_frame, ..RoiOptions::new(RESOLUTION) };
+        let planner = planner(SearchMode::Roi, roi);
         let neighbours: Vec<_> = (0..crowd).map(neighbour).collect();
         let mut searched = Searched::new(12, 0);
         let mut history = history;
@@ -246,12 +246,12 @@ proptest! {
     }
 
     #[test]
-    fn a_gaze_view_is_small_and_shows_the_body_and_its_margins(
+    fn a_region_of_interest_is_small_and_shows_the_body_and_its_margins(
         range in 0.25..5.0f64,
         deviation in 0.0..0.2f64,
         (x, y, z) in (-1.0..1.0f64, -1.0..1.0f64, 0.1..1.0f64),
     ) {
-        let options = GazeOptions::new(RESOLUTION);
+        let options = RoiOptions::new(RESOLUTION);
         let body = squares("alpha", 0.0625, 0.05, 0);
         let position = Vector3::new(x, y, z).normalize() * range;
         let pose = Isometry3::from_parts(position.into(), UnitQuaternion::identity());
@@ -259,7 +259,7 @@ proptest! {
         let predicted =
             PredictedNeighbour::from_pose(3, &body, &pose, &covariance, &Vector3::zeros()).unwrap();
         prop_assert!((predicted.deviation_rad - deviation).abs() < 1e-9);
-        let view = gaze_view(&predicted, &options).unwrap().view;
+        let view = roi_view(&predicted, &options).unwrap().view;
         prop_assert!(view.direction_in_camera().angle(&Unit::new_normalize(position)) < 1e-6);
         prop_assert!(view.size_px <= 640);
         let magnification = view.focal_px / RESOLUTION;
@@ -304,31 +304,31 @@ fn predictions_that_are_none_give_no_view() {
         let pose = Isometry3::translation(range, 0.0, 0.0);
         assert_eq!(PredictedNeighbour::from_pose(0, &body, &pose, &covariance, &still), None);
     }
-    let options = GazeOptions::new(RESOLUTION);
+    let options = RoiOptions::new(RESOLUTION);
     let broken = PredictedNeighbour { deviation_rad: f64::NAN, ..neighbour(0) };
-    assert_eq!(gaze_view(&broken, &options), None);
-    let plan = planner(SearchMode::Gaze, options).plan(&Searched::new(12, 0), &[broken]);
+    assert_eq!(roi_view(&broken, &options), None);
+    let plan = planner(SearchMode::Roi, options).plan(&Searched::new(12, 0), &[broken]);
     assert_eq!((plan.views.len(), plan.view_budget), (12, 2));
 }
 
 #[test]
 fn options_out_of_range_are_named() {
-    let good = GazeOptions::new(RESOLUTION);
-    let with = |gaze| {
+    let good = RoiOptions::new(RESOLUTION);
+    let with = |roi| {
         Planner::new(
-            SearchMode::Gaze,
+            SearchMode::Roi,
             Partition::icosahedron(),
             Partition::icosahedron().views(0.1, RESOLUTION).unwrap(),
-            gaze,
+            roi,
         )
     };
-    for (gaze, name) in [
-        (GazeOptions { partitions_per_frame: 0, ..good }, "partitions_per_frame"),
-        (GazeOptions { field_max_rad: 0.01, ..good }, "field_max_rad"),
-        (GazeOptions { marker_px: f64::NAN, ..good }, "marker_px"),
-        (GazeOptions { marker_least_px: 100.0, ..good }, "marker_least_px"),
+    for (roi, name) in [
+        (RoiOptions { partitions_per_frame: 0, ..good }, "partitions_per_frame"),
+        (RoiOptions { field_max_rad: 0.01, ..good }, "field_max_rad"),
+        (RoiOptions { marker_px: f64::NAN, ..good }, "marker_px"),
+        (RoiOptions { marker_least_px: 100.0, ..good }, "marker_least_px"),
     ] {
-        assert!(with(gaze).unwrap_err().to_string().contains(name));
+        assert!(with(roi).unwrap_err().to_string().contains(name));
     }
     let missing = Planner::new(SearchMode::Greedy, Partition::icosahedron(), Vec::new(), good);
     assert_eq!(missing.unwrap_err(), PlannerError::Views { views: 0, partitions: 12 });
@@ -342,7 +342,7 @@ fn proposals_come_before_the_tiles_while_a_target_is_not_tracked() {
         let neighbours: Vec<PredictedNeighbour> = (0..tracked).map(neighbour).collect();
         let plan = planner.plan(&searched, &neighbours);
         let letter = |planned: &PlannedView| match planned.purpose {
-            Purpose::Gaze(_) => 'g',
+            Purpose::Roi(_) => 'g',
             Purpose::Proposal => 'p',
             Purpose::Partition(_) | Purpose::HighResolution(_) => 't',
         };
@@ -355,8 +355,8 @@ fn proposals_come_before_the_tiles_while_a_target_is_not_tracked() {
 fn an_exhaustive_search_has_its_proposals_behind_all_tiles() {
     let partition = Partition::icosahedron();
     let views = partition.views(0.1, 611.0).unwrap();
-    let gaze = GazeOptions::new(611.0);
-    let planner = Planner::new(SearchMode::Exhaustive, partition, views, gaze).unwrap();
+    let roi = RoiOptions::new(611.0);
+    let planner = Planner::new(SearchMode::Exhaustive, partition, views, roi).unwrap();
     let planner = planner.with_proposals(2, 3);
     let plan = planner.plan(&planner.nothing_searched(), &[]);
     assert_eq!((plan.views.len(), plan.view_budget, plan.stop_rule), (15, 15, StopRule::All));

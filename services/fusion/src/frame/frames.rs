@@ -175,7 +175,7 @@ impl<P: Pixels> Frames<P> {
                 frame.places.add(header, pixels.pixels());
             }
             frame.held.add(header, pixels);
-            if keeping.keeps_regions && matches!(purpose, Some(Purpose::Gaze(_))) {
+            if keeping.keeps_regions && matches!(purpose, Some(Purpose::Roi(_))) {
                 frame.regions.push_back((arrival, header.view_index));
                 self.arrivals += 1;
             }

@@ -212,7 +212,7 @@ fn regions_of_targets_that_do_not_exist_are_ignored() {
     let truth = pose(0.9);
     let mut tracker = following(&truth);
     let record = record(3, &truth);
-    let answered = [AnsweredView { purpose: Some(Purpose::Gaze(9)), ..of_region(&record) }];
+    let answered = [AnsweredView { purpose: Some(Purpose::Roi(9)), ..of_region(&record) }];
     let ((tracker, parts), views) = (tracker.at(3), BestViews::new());
     let updates = tracker.region_pass(time(3), parts, &answered, &views, TimeBudget::Unlimited);
     assert!(updates.is_empty());

@@ -13,7 +13,7 @@ use flockeye_rectification::gpu::{FoundAdapter, GpuRectifier};
 use flockeye_rectification::rectifier::Rectifier as _;
 use nalgebra::Vector3;
 
-use self::scene::{Scene, buffer, equirectangular, gaze, look, partition};
+use self::scene::{Scene, buffer, equirectangular, look, partition, region};
 
 fn processor(criterion: &mut Criterion) {
     let scene = Scene::of(equirectangular());
@@ -24,7 +24,7 @@ fn processor(criterion: &mut Criterion) {
         ("partition view on the seam", Cut::bilinear(look(-Vector3::x(), 74.75, 936))),
         ("partition view on the pole", Cut::bilinear(look(Vector3::z(), 74.75, 936))),
         ("partition view, cubic", Cut::cubic(ahead)),
-        ("gaze view 20 deg 400 px, cubic", Cut::cubic(gaze(0))),
+        ("region of interest 20 deg 400 px, cubic", Cut::cubic(region(0))),
     ];
     for (name, cut) in views {
         let mut cpu = CpuRectifier::new(1);

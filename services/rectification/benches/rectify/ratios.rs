@@ -18,7 +18,9 @@ use opencv::imgproc::{INTER_CUBIC, INTER_LINEAR};
 use rustix::time::{ClockId, clock_gettime};
 
 use crate::maps::Maps;
-use crate::scene::{Scene, buffer, dual_fisheye, equirectangular, gaze, partition, stereographic};
+use crate::scene::{
+    Scene, buffer, dual_fisheye, equirectangular, partition, region, stereographic,
+};
 
 /// Turns of each row; medians of them are compared.
 const ROUNDS: u32 = 41;
@@ -100,17 +102,17 @@ fn moving(camera_name: &str, camera: Camera, interpolation: Interpolation) {
     let scene = Scene::of(camera);
     let sphere = matrix(&scene);
     let mut cpu = CpuRectifier::new(1);
-    let mut out = buffer(&gaze(0));
+    let mut out = buffer(&region(0));
     let mut theirs = Mat::default();
-    let mut maps = Maps::new(gaze(0).size_px);
-    let mut ours = |round| scene.cut(&mut cpu, 0, &cut_of(gaze(round), interpolation), &mut out);
+    let mut maps = Maps::new(region(0).size_px);
+    let mut ours = |round| scene.cut(&mut cpu, 0, &cut_of(region(round), interpolation), &mut out);
     let row = |how| format!("moving view of 400 px, {camera_name}, {name}; {how}");
     compare(&row("map, convertMaps, remap"), &mut ours, |round| {
-        maps.build(&scene.camera, &gaze(round));
+        maps.build(&scene.camera, &region(round));
         maps.fixed().remap(&sphere, &mut theirs, flag);
     });
     compare(&row("map, remap"), &mut ours, |round| {
-        maps.build(&scene.camera, &gaze(round));
+        maps.build(&scene.camera, &region(round));
         maps.remap(&sphere, &mut theirs, flag);
     });
 }

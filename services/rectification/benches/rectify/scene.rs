@@ -76,7 +76,7 @@ pub fn look(direction: Vector3<f64>, field_deg: f64, size_px: u32) -> View {
 }
 
 /// A view of 20 degrees and 400 px that moves with each frame, about the axis of the first lens.
-pub fn gaze(frame: u32) -> View {
+pub fn region(frame: u32) -> View {
     let azimuth = f64::from(frame % 100) * 0.01 - 0.5;
     look(Vector3::new(azimuth.cos(), azimuth.sin(), 0.2), 20.0, 400)
 }

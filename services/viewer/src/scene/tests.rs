@@ -43,7 +43,7 @@ fn a_frame_goes_out_whole_when_it_ends() {
     };
     let unsearched = PlannedView { tile: 4, ..tile };
     let turn = 0.4;
-    let gaze = PlannedView {
+    let region = PlannedView {
         kind: ViewKind::Gaze.code(),
         tile: NONE,
         target: 0,
@@ -53,7 +53,7 @@ fn a_frame_goes_out_whole_when_it_ends() {
         ..tile
     };
     let header = PlanHeader { plan_id: 9, ..PlanHeader::default() };
-    scene.plan(&header, &[gaze, tile, unsearched, tile]);
+    scene.plan(&header, &[region, tile, unsearched, tile]);
     let marker = DetectedMarker { id: 5, doubtful: 1, ..DetectedMarker::default() };
     for view_index in [0, 1] {
         let record =

@@ -28,7 +28,7 @@ const TABLE_2: [PaperSearch; 2] = [
 /// The result of one search mode.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 struct SearchOutcome {
-    /// greedy, optimized or gaze.
+    /// greedy, optimized or roi.
     mode: &'static str,
     /// The flight.
     #[serde(flatten)]
@@ -48,7 +48,7 @@ pub(super) fn run(arguments: &ComparisonArguments) -> anyhow::Result<SearchCompa
     let mut laboratory =
         Laboratory::new(&arguments.configuration, &[], arguments.frames, arguments.json)?;
     let mut rows = Vec::new();
-    for mode in ["greedy", "optimized", "gaze"] {
+    for mode in ["greedy", "optimized", "roi"] {
         let plan = laboratory.plan(&[format!("search.mode={mode}")])?;
         let flight = laboratory.fly(&format!("search {mode}"), &plan)?;
         let outcome = FlightOutcome::of(&flight, given.as_ref().unwrap_or(&flight.truth))?;

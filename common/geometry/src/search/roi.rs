@@ -1,4 +1,4 @@
-//! Gaze views: small magnified views at where neighbours are predicted.
+//! Regions of interest: small magnified views at where neighbours are predicted.
 
 use nalgebra::{Isometry3, Matrix3, Unit, Vector3};
 
@@ -59,9 +59,9 @@ impl PredictedNeighbour {
     }
 }
 
-/// How gaze views are sized and how they share a frame with the partitions.
+/// How regions of interest are sized and how they share a frame with the partitions.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct GazeOptions {
+pub struct RoiOptions {
     /// The sphere image's own resolution, pixels for each radian.
     pub pixels_per_radian: f64,
     /// Side that the smallest marker to be decoded gets in the view, pixels.
@@ -84,7 +84,7 @@ pub struct GazeOptions {
     pub partitions_per_frame: usize,
 }
 
-impl GazeOptions {
+impl RoiOptions {
     /// The defaults for a sphere image of this resolution (pixels for each radian).
     pub fn new(pixels_per_radian: f64) -> Self {
         Self {
@@ -106,7 +106,7 @@ impl GazeOptions {
             if (least..=most).contains(&value) {
                 Ok(())
             } else {
-                Err(PlannerError::Gaze { name, value, cure })
+                Err(PlannerError::Roi { name, value, cure })
             }
         };
         let (least, most) = (self.field_min_rad, self.field_max_rad);
@@ -137,15 +137,15 @@ impl GazeOptions {
 /// The view for one neighbour: centred on its direction, its field the body's angular diameter and
 /// the margins for uncertainty.
 ///
-/// It is magnified until the smallest marker gets [`GazeOptions::marker_px`], but not beyond
-/// [`GazeOptions::magnification_max`], and not beyond what lets the field fit the largest view, as
-/// long as markers get [`GazeOptions::marker_least_px`] and the sphere's own resolution: of a wide
+/// It is magnified until the smallest marker gets [`RoiOptions::marker_px`], but not beyond
+/// [`RoiOptions::magnification_max`], and not beyond what lets the field fit the largest view, as
+/// long as markers get [`RoiOptions::marker_least_px`] and the sphere's own resolution: of a wide
 /// field in which nothing decodes nobody has anything, so it is cut instead, round where the neighbour
 /// is most likely. A view of a close neighbour, whose markers are large enough anyway, is taken at
 /// less than the sphere's resolution.
 ///
 /// `None` for a prediction that is not a number.
-pub fn gaze_view(neighbour: &PredictedNeighbour, options: &GazeOptions) -> Option<PlannedView> {
+pub fn roi_view(neighbour: &PredictedNeighbour, options: &RoiOptions) -> Option<PlannedView> {
     let wanted_rad =
         2.0 * (neighbour.radius_rad + options.margin_deviations * neighbour.deviation_rad);
     let finite = wanted_rad.is_finite()
@@ -169,7 +169,7 @@ pub fn gaze_view(neighbour: &PredictedNeighbour, options: &GazeOptions) -> Optio
     let upright = View::looking_at(&neighbour.direction_in_camera, field_rad, size_px);
     Some(PlannedView {
         view: View { focal_px, ..upright },
-        purpose: Purpose::Gaze(neighbour.target),
+        purpose: Purpose::Roi(neighbour.target),
         search: Search::AllWindows,
         rate_in_camera: neighbour.rate_in_camera,
     })
