@@ -94,6 +94,7 @@ pub struct SwarmPose {
     pub pairs: u32,
 }
 
+#[expect(clippy::derivable_impls, reason = "arrays of 36 elements have no default")]
 impl Default for PeerSighting {
     fn default() -> Self {
         Self {
@@ -104,6 +105,7 @@ impl Default for PeerSighting {
     }
 }
 
+#[expect(clippy::derivable_impls, reason = "arrays of 36 elements have no default")]
 impl Default for SwarmPose {
     fn default() -> Self {
         Self { own_from_drone: Pose::default(), ..Self::zeroed() }

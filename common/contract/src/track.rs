@@ -152,7 +152,7 @@ pub struct Track {
     pub reserved: u32,
 }
 
-// Not derived: arrays of 36 have no default. The same holds for the other types with a covariance of a pose.
+#[expect(clippy::derivable_impls, reason = "arrays of 36 elements have no default")]
 impl Default for Track {
     fn default() -> Self {
         Self {

@@ -265,7 +265,8 @@ fn place(x: f64, y: f64) -> Proposal {
 
 /// A core that is about to cut the first proposal of a frame, and has searched it for places.
 fn looking() -> Core<()> {
-    let mut core = flying(2);
+    // Of three workers one is free for a proposal while the region is searched.
+    let mut core = flying(3);
     core.on(plan(1, &[Gaze, ViewKind::Proposal, ViewKind::Proposal], 0), 0);
     core.on(frame(0), 0);
     let region = next_cut(&mut core, 0);
