@@ -87,15 +87,13 @@ impl Odometry {
         let whole = whole.filter(|(at_ns, _)| !is_missing(*at_ns));
         let is_whole = whole.is_some();
         let (at_ns, odometry) = whole.or(parts)?;
-        match self.taken {
-            Some((taken_ns, was_whole)) if was_whole == is_whole => {
-                if at_ns <= taken_ns {
-                    return None;
-                }
+        if let Some((taken_ns, was_whole)) = self.taken {
+            if was_whole != is_whole {
+                // The two have different origins.
+                self.epoch = self.epoch.wrapping_add(1);
+            } else if at_ns <= taken_ns {
+                return None;
             }
-            // The two have different origins.
-            Some(_) => self.epoch = self.epoch.wrapping_add(1),
-            None => {}
         }
         self.taken = Some((at_ns, is_whole));
         Some(OdometryState { at_ns, epoch: self.epoch, odometry })

@@ -10,6 +10,7 @@ use crate::record::Record;
 
 /// What happens to fusion.
 #[derive(Debug)]
+#[expect(clippy::large_enum_variant, reason = "one at a time, on the stack")]
 pub enum Event<P> {
     /// A view was cut; `P` holds its pixels.
     View(ViewHeader, P),

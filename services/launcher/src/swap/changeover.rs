@@ -11,6 +11,7 @@ use crate::process::Process;
 
 /// What the launcher is doing about a swap. One worker at a time is swapped.
 #[derive(Default)]
+#[expect(clippy::large_enum_variant, reason = "a launcher has one")]
 pub(crate) enum Changeover {
     /// No worker is being swapped.
     #[default]

@@ -39,6 +39,7 @@ pub enum Event<F> {
 
 /// What is to be done.
 #[derive(Debug, Clone, PartialEq)]
+#[expect(clippy::large_enum_variant, reason = "one at a time, on the stack")]
 pub enum Action {
     /// Work on a frame begins. The back end may make these cuts ahead.
     TakeUp {
