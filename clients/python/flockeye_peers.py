@@ -147,7 +147,9 @@ class Swarm:
         self.refused = 0
         self.alive = set()
         self._last = {}
-        self._waiting = queue.Queue(waiting)
+        # Not a `queue.Queue`: Ctrl-C within its `get` can leave its lock taken, and `close` then waits for ever.
+        self._waiting = queue.SimpleQueue()
+        self._room = waiting
         config = zenoh.Config()
         config.insert_json5("connect/endpoints", json.dumps(list(endpoints)))
         config.insert_json5("listen/endpoints", "[]")
@@ -258,15 +260,12 @@ class Swarm:
                 self.refused += 1
                 continue
             self._last[key] = report
-            while True:
+            if self._waiting.qsize() >= self._room:
                 try:
-                    self._waiting.put_nowait(report)
-                    break
-                except queue.Full:
-                    try:
-                        self._waiting.get_nowait()
-                    except queue.Empty:
-                        pass
+                    self._waiting.get_nowait()
+                except queue.Empty:
+                    pass
+            self._waiting.put(report)
 
     def _see(self, token):
         observer = str(token.key_expr).split("/")[2]

@@ -25,10 +25,12 @@ fn assert_keeps_the_contract((succeeded, output): (bool, String), least_checks: 
 
 #[test]
 fn our_own_stages_keep_the_contract() {
-    for kind in
-        ["egomotion", "rectification", "detection", "fusion", "autopilot", "gateway", "ros2"]
-    {
+    for kind in ["egomotion", "rectification", "detection", "fusion", "gateway"] {
         assert_keeps_the_contract(test(kind, &["--json"], &[]), 14);
+    }
+    // Nothing that they hand on comes back to the test.
+    for kind in ["autopilot", "ros2"] {
+        assert_keeps_the_contract(test(kind, &["--json"], &[]), 7);
     }
 }
 

@@ -70,11 +70,7 @@ impl Recorded {
         let layout = layout.expect("there is this topic");
         let mut reader = Reader::open(&path).expect("it is a recording");
         let (_, _, json) = &reader.about().attachments[0];
-        let mut written: serde_json::Map<String, Value> =
-            serde_json::from_slice(json).expect("JSON");
-        written.remove("resolved");
-        let pipeline: Pipeline =
-            serde_json::from_value(Value::Object(written)).expect("it is a configuration");
+        let pipeline = Pipeline::from_json(json).expect("it is a configuration");
         let resolved = Resolved::of(pipeline).expect("it is valid");
         let (mut ended, mut first_ns) = (Vec::new(), u64::MAX);
         let mut confirmed = BTreeSet::new();
