@@ -1,6 +1,6 @@
 //! Reads a recording from its beginning to its end, also one that was cut off.
 //!
-//! Nothing that a file says takes more memory than [`LARGEST_MESSAGE`](crate::writer::LARGEST_MESSAGE) and some.
+//! Nothing that a file says takes more memory than [`LARGEST_MESSAGE`] and some.
 
 use std::collections::BTreeMap;
 use std::fs::File;
