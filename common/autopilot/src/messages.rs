@@ -21,7 +21,7 @@ pub const AUTOPILOT: u8 = 1;
 /// What is sent to the autopilot.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Outgoing {
-    /// That we are here.
+    /// An onboard computer is here.
     Heartbeat(HEARTBEAT_DATA),
     /// A question for the time, or an answer.
     Timesync(TIMESYNC_DATA),
@@ -29,7 +29,7 @@ pub enum Outgoing {
     Target(TARGET_RELATIVE_DATA),
     /// A neighbour in the way.
     Obstacle(OBSTACLE_DISTANCE_3D_DATA),
-    /// That a message is to be sent.
+    /// The autopilot is to send a message.
     Command(COMMAND_LONG_DATA),
 }
 
@@ -125,7 +125,7 @@ pub fn obstacle(
     }
 }
 
-/// That an onboard computer is here.
+/// The message that an onboard computer is here.
 pub fn heartbeat() -> HEARTBEAT_DATA {
     HEARTBEAT_DATA {
         custom_mode: 0,

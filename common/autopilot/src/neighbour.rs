@@ -49,7 +49,7 @@ impl NeighbourState {
             return Ok(());
         }
         let position = self.observer_from_target.translation.vector;
-        // Also false where the position is not a number.
+        // The test also fails where the position is not a number.
         if !(position.norm() > 0.0 && position.norm() < FARTHEST_M) {
             let found = format!("{:?}", position.as_slice());
             return wrong("its position", found, "finite, not zero and within 10 km");

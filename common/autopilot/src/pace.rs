@@ -15,7 +15,7 @@ impl Pace {
         Self { period_ns, due_ns: i64::MIN }
     }
 
-    /// Whether it may be sent at `now_ns`.
+    /// Whether a message may be sent at `now_ns`.
     pub fn is_due(&self, now_ns: i64) -> bool {
         self.period_ns.is_some() && now_ns >= self.due_ns
     }

@@ -94,7 +94,7 @@ impl AutopilotParameters {
             return Err(wrong("max_age_ms", self.max_age_ms, "must be 50 to 5000"));
         }
         let [near, far] = self.obstacle_range_m;
-        // Also false where one of them is no number.
+        // The test also fails where one of them is no number.
         if !(near >= 0.0 && near < far && far <= 1000.0) {
             let found = format!("[{near}, {far}]");
             return Err(wrong("obstacle_range_m", found, "must rise and lie within 0 to 1000"));

@@ -72,7 +72,7 @@ impl<const N: usize> Described for Text<N> {
 pub struct Field {
     /// Its name.
     pub name: &'static str,
-    /// Where it begins in its type, bytes.
+    /// Offset of the field in its type, bytes.
     pub offset: usize,
     /// What it is.
     pub kind: Kind,

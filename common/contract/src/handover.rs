@@ -35,7 +35,7 @@ pub struct HandOver {
     pub state: u32,
 }
 
-/// Who sent a message, and of which frame it is.
+/// Sender of a message, and its frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Speaker {
     /// The stage.
@@ -55,7 +55,7 @@ impl HandOver {
         Ok(())
     }
 
-    /// Whether it is about this worker of this stage.
+    /// Whether the hand-over is about this worker of this stage.
     pub fn is_about(&self, stage: StageName, replica: u32) -> bool {
         self.replica == replica && self.stage == Text::from(stage.name())
     }

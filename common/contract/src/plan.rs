@@ -89,12 +89,12 @@ impl PlanHeader {
 }
 
 impl PlannedView {
-    /// Whether it is a proposal, whose place rectification finds.
+    /// Whether the view is a proposal, whose place rectification finds.
     pub fn is_proposal(&self) -> bool {
         self.kind == ViewKind::Proposal.code()
     }
 
-    /// Whether it is a tile of the sphere of either resolution, rather than a small view.
+    /// Whether the view is a tile of the sphere of either resolution, not a small view.
     pub fn is_tile(&self) -> bool {
         [ViewKind::Partition.code(), ViewKind::HighResolution.code()].contains(&self.kind)
     }

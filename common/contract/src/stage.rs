@@ -61,7 +61,7 @@ impl StageName {
         Self::ALL.into_iter().find(|stage| stage.name() == name)
     }
 
-    /// Whether it publishes frames. One source runs in a pipeline.
+    /// Whether the stage publishes frames. One source runs in a pipeline.
     pub const fn is_source(self) -> bool {
         matches!(self, Self::Capture | Self::Simulator)
     }

@@ -1,4 +1,4 @@
-//! Who may do what on a link, as Zenoh's access control has it.
+//! Rules of Zenoh's access control: which certificate may do what on a link.
 //!
 //! Zenoh asks which certificate the other end of the *link* has shown, and not who began to say something. So every
 //! gateway and every router has these rules. Their names are literal, and they hold until the session ends.

@@ -1,4 +1,4 @@
-//! Who is alive, and what each of them sees.
+//! The peers that are alive, and what each of them sees.
 
 use std::{
     collections::BTreeMap,

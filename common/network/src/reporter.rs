@@ -143,7 +143,7 @@ struct Outlet {
 }
 
 impl Outlet {
-    /// Whether it is time for the certificate.
+    /// Whether the certificate is due.
     fn needs_certificate(&mut self, now: Instant) -> bool {
         let is_due = self.certificate_sent.is_none_or(|sent| now - sent >= CERTIFICATE_PERIOD);
         if is_due {

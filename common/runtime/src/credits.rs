@@ -13,7 +13,7 @@ use flockeye_config::{Flow, Pipeline};
 
 /// The source's side of the flow.
 pub struct Credits {
-    /// None in the flow `latest`.
+    /// Plans are the credits; `None` in the flow `latest`.
     plans: Option<Subscriber<Plans>>,
     state: State,
     patience_ns: i64,

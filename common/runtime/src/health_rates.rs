@@ -61,7 +61,7 @@ impl HealthRates {
         now_ns.saturating_sub(self.last.sent_ns)
     }
 
-    /// Whether it is silent.
+    /// Whether the stage is silent.
     pub fn is_silent(&self, now_ns: i64) -> bool {
         self.silent_ns(now_ns) > SILENCE_NS
     }

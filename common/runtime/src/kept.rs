@@ -66,7 +66,7 @@ impl KeptProcess {
         Ok(())
     }
 
-    /// Whether it lives.
+    /// Whether the process lives.
     pub fn is_alive(&self, instance_folder: &Path) -> bool {
         File::open(self.record(instance_folder))
             .is_ok_and(|file| flock(&file, FlockOperation::NonBlockingLockShared).is_err())

@@ -35,7 +35,7 @@ impl SchedulingPolicy {
         }
     }
 
-    /// Whether it goes before all threads that are not in real time.
+    /// Whether threads of this policy go before all threads that are not in real time.
     pub fn is_real_time(self) -> bool {
         matches!(self, Self::Fifo | Self::RoundRobin)
     }

@@ -91,7 +91,7 @@ impl<K: PartialEq, V> Slots<K, V> {
         self.changed.notify_all();
     }
 
-    /// Whether it accepts nothing more.
+    /// Whether the slots accept nothing more.
     pub fn is_closed(&self) -> bool {
         lock(&self.state).is_closed
     }

@@ -19,7 +19,7 @@ pub(crate) struct ByteStream {
 /// What a unit is for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Unit {
-    /// It begins a picture.
+    /// The unit begins a picture.
     Delimiter,
     /// The first kind of parameter sets: others follow from it.
     FirstSet,

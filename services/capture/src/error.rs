@@ -29,7 +29,7 @@ pub enum CaptureError {
         "GStreamer does not start: {0}. Cure: reinstall libgstreamer1.0-0 and gstreamer1.0-plugins-base"
     )]
     GStreamer(String),
-    /// No such file or folder.
+    /// The path leads to no file or folder.
     #[error("{} does not exist. Cure: check the path; relative ones start at {}", path.display(), from.display())]
     Missing {
         /// The path looked for.
@@ -37,7 +37,7 @@ pub enum CaptureError {
         /// The directory that relative paths start at.
         from: PathBuf,
     },
-    /// It is there but cannot be read.
+    /// The file is there and cannot be read.
     #[error("{} cannot be read: {reason}", path.display())]
     Unreadable {
         /// The file or folder.

@@ -47,14 +47,14 @@ pub enum Event {
 /// How a recording ended.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum EndReason {
-    /// It was played to its end.
+    /// The file was played to its end.
     Complete {
         /// Frames decoded.
         frames: u64,
         /// Images of a folder, or pictures of a flight, that could not be used.
         skipped: u64,
     },
-    /// It broke off: the rest is missing or broken.
+    /// The file broke off: the rest is missing or broken.
     Truncated {
         /// Frames decoded up to there.
         decoded: u64,

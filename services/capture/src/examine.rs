@@ -118,7 +118,7 @@ fn modes(device: &Path, (width, height): (u32, u32)) -> Finding {
         source.set_property("device", &*device.to_string_lossy());
         source.set_state(gst::State::Ready).ok()?;
         let caps = source.static_pad("src")?.query_caps(None);
-        // It has reported what it can; how it ends does not matter.
+        // The source has reported what it can; how it ends does not matter.
         let _ = source.set_state(gst::State::Null);
         Some(caps)
     };

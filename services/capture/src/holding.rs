@@ -31,7 +31,7 @@ const BEHIND_NS: i64 = 100_000_000;
 /// What is wrong with a decoder.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum DecoderFault {
-    /// It holds frames back.
+    /// The decoder holds frames back.
     Holds {
         /// How many, at least.
         frames: usize,
@@ -40,7 +40,7 @@ pub(crate) enum DecoderFault {
         /// Whether frames came in another order than they are shown in.
         reordered: bool,
     },
-    /// It does not keep up: frames wait before it.
+    /// The decoder does not keep up: frames wait before it.
     IsBehind(Duration),
 }
 

@@ -73,7 +73,7 @@ impl Input {
                 feed.set_property("name", FEED);
                 feed.set_property("caps", caps);
                 feed.set_property("format", gst::Format::Time);
-                // Whoever feeds it waits for room.
+                // The feeding thread waits for room.
                 feed.set_property("block", true);
                 feed.set_property("max-bytes", FEED_BYTES);
                 chain(&[feed])

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 /// What happens to a frame that finds the mailbox full.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum WhenFull {
-    /// It replaces the oldest one.
+    /// The new item replaces the oldest one.
     ReplaceOldest,
     /// The decoder waits until there is room.
     HoldBack,

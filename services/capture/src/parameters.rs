@@ -6,7 +6,7 @@ use flockeye_config::{AtEnd, Flow, InertialSource, Pipeline};
 
 use crate::packet::PacketWish;
 
-/// Who sets the pace.
+/// What sets the pace.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Paced {
     /// The stream's own time stamps; a frame that nobody takes is replaced by the next one. A
@@ -23,7 +23,7 @@ pub struct SourceParameters {
     pub width: u32,
     /// Rows that frames must have.
     pub height: u32,
-    /// Who sets the pace.
+    /// What sets the pace.
     pub flow: Paced,
     /// Whether a recording starts again at its end.
     pub looping: bool,

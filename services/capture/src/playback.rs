@@ -34,7 +34,7 @@ pub(crate) enum PlaybackEvent {
         by: Duration,
         faster: Option<Threading>,
     },
-    /// It is over: because of a fault, or just at its end.
+    /// The playback is over: because of a fault, or at its end.
     Over {
         fault: Option<String>,
     },

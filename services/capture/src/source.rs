@@ -217,7 +217,7 @@ impl Source {
         }
     }
 
-    /// Whether it is a camera, which never ends and may be lost.
+    /// Whether the source is a camera, which never ends and may be lost.
     pub fn is_camera(&self) -> bool {
         matches!(self.state, SourceState::Camera(..) | SourceState::Lost(..))
     }

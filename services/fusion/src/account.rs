@@ -41,7 +41,7 @@ pub enum Pass {
     Direct,
     /// From markers and the prediction, when the region of interest was searched.
     Region,
-    /// The same over all of the complete frame.
+    /// The corner pass over all of the complete frame.
     Complete,
     /// From rough starts, and a search round the prediction.
     Background,
@@ -125,12 +125,12 @@ impl Trial {
 }
 
 impl Account {
-    /// Of a target, from now on.
+    /// An account of a target, from now on.
     pub fn of(target: usize) -> Self {
         Self { target, entries: Vec::new() }
     }
 
-    /// Whether it is about this target.
+    /// Whether the account is about this target.
     pub fn is_of(&self, target: usize) -> bool {
         self.target == target
     }

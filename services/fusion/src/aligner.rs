@@ -33,7 +33,7 @@ pub struct BestView<'p> {
 }
 
 impl BestView<'_> {
-    /// The same view of a body that moves.
+    /// Returns this view for a body that moves.
     pub fn moving(&self, motion: Motion) -> Self {
         Self { picture: Picture { motion, ..self.picture }, ..*self }
     }
@@ -67,7 +67,7 @@ pub struct Sought<'s> {
 #[derive(Debug, Clone)]
 pub struct Aligner {
     prints: Vec<BodyPrint>,
-    /// Those of each print, made when they are needed first.
+    /// Templates of each print, made when they are needed first.
     templates: Arc<[OnceLock<Templates>]>,
     pixels_per_radian: f64,
     options: AlignOptions,
@@ -281,12 +281,12 @@ impl Aligner {
         self.initiate(&sought, |_| false, false, tried)
     }
 
-    /// What a start leads to, whether it is the body or not.
+    /// Aligns from a start. The pose may be no body.
     pub fn align(&self, target: usize, picture: &Picture<'_>, start: &Start) -> Option<Alignment> {
         self.try_align(target, picture, start).ok()
     }
 
-    /// The same, or why it leads to nothing.
+    /// Aligns from a start, as [`Aligner::align`], or returns why that leads to nothing.
     ///
     /// # Errors
     /// [`AlignError`].

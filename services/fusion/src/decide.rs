@@ -60,21 +60,21 @@ pub enum Choice {
 /// What was decided of a hypothesis.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Verdict {
-    /// It is the body's pose, as far as the picture says.
+    /// The hypothesis is the body's pose, as far as the picture says.
     Accepted,
-    /// It would do, and another one was more likely.
+    /// The hypothesis would do, and another one was more likely.
     LessLikely,
     /// The picture and all else say too little for it.
     BelowThreshold,
-    /// It is likely, and its standard deviations are too large to start a track with.
+    /// The hypothesis is likely. Its standard deviations are too large to start a track with.
     Imprecise,
-    /// It is likely, and others are too likely beside it: its lead over them, in log odds.
+    /// The hypothesis is likely, and others are too likely beside it: its lead, in log odds.
     Rivals(f64),
     /// A rival of the likeliest one.
     Rival,
     /// One facet alone tells it, and starts that the background pass will try may tell another.
     OneFacetAlone,
-    /// It is not where the track can be.
+    /// The pose is not where the track can be.
     OutsideGate,
     /// Nothing could be compared.
     NotAligned,
@@ -115,7 +115,7 @@ impl Decision {
         self.reasons.get_mut(index).into_iter().for_each(|reason| *reason = verdict);
     }
 
-    /// The same decision where the chosen hypothesis is refused for this reason.
+    /// Returns this decision with the chosen hypothesis refused for a reason.
     pub fn refused(mut self, verdict: Verdict) -> Self {
         if let Some(index) = self.hypothesis() {
             self.give_reason(index, verdict);

@@ -15,7 +15,7 @@ const FORGETTING: f64 = 0.01;
 /// Longer stretches are not used, pixels of the sphere image squared (a path of 4 px): a Gaussian
 /// stretches more than the path that it stands for where that is as long as a marker's cells.
 const MAX_STRETCH_PX2: f64 = 1.3;
-/// No exposure is taken for longer than this, seconds.
+/// Longest exposure that is assumed, seconds.
 const MAX_EXPOSURE_S: f64 = 0.05;
 
 /// How long frames are exposed.

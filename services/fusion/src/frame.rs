@@ -66,7 +66,7 @@ pub struct OpenFrame<P> {
     pub parts: Parts,
     /// The number of the plan that was followed; 0: rectification swept on its own.
     plan_id: u64,
-    /// That plan, where this process made it.
+    /// The plan that the frame follows, where this process made it.
     plan: Option<Rc<FollowedPlan>>,
     deadline_ns: i64,
     /// Regions of interest that wait for the direct pass: their arrivals, which rise with each region

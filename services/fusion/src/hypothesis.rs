@@ -7,7 +7,7 @@ use nalgebra::Isometry3;
 /// A pose that was compared with the picture.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Hypothesis {
-    /// Where it comes from.
+    /// Source of the start.
     pub source: Source,
     /// What alignment found, or why it found nothing.
     pub found: Result<Alignment, AlignError>,
@@ -73,16 +73,16 @@ impl Hypothesis {
 pub struct CornerPose {
     /// The pose and what supports it.
     pub solution: PoseSolution,
-    /// Whether it is the one that corners and track prefer.
+    /// Whether corners and track prefer this pose.
     pub is_chosen: bool,
-    /// Whether it would do as the frame's measurement, where the picture gives none.
+    /// Whether the pose would do as the frame's measurement, where the picture gives none.
     pub verdict: CornerVerdict,
 }
 
 /// Whether a pose from corners would do as a measurement.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum CornerVerdict {
-    /// It would.
+    /// The pose would do.
     Enough,
     /// More markers would have to agree.
     TooFewMarkers {

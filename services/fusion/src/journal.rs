@@ -64,7 +64,7 @@ pub struct Journal {
 }
 
 impl Journal {
-    /// Of a process of this generation; `is_resumed`: it goes on where another one was.
+    /// A journal of a process of this generation. `is_resumed`: it goes on where another one was.
     pub fn new(generation: u32, is_resumed: bool) -> Self {
         Self { generation, is_resumed, ..Self::default() }
     }

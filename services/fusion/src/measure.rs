@@ -49,7 +49,7 @@ pub struct Row {
 /// Which track a target must have.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum RequiredPrior {
-    /// One that is confirmed and was measured in the frame before.
+    /// A target that is confirmed and was measured in the frame before.
     Measured,
     /// Any, or none.
     Any,

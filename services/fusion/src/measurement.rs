@@ -35,8 +35,8 @@ pub struct Measurement {
     pub measured_by: MeasuredBy,
     /// How many markers of the body were decoded.
     pub markers: u32,
-    /// Whether it is of use by itself. If not, it only updates a track that it agrees with, and leaves as the track's
-    /// pose.
+    /// Whether the measurement is of use by itself. If not, it only updates a track that it agrees
+    /// with, and leaves as the track's pose.
     pub is_precise: bool,
 }
 

@@ -75,7 +75,7 @@ pub struct TrackMessage {
 }
 
 impl TrackMessage {
-    /// As many messages as these estimates need.
+    /// Packs estimates into as few messages as they need.
     pub fn of(stamp: FrameStamp, updates: Vec<Outgoing>) -> impl Iterator<Item = Self> {
         let mut updates = updates.into_iter().peekable();
         std::iter::from_fn(move || {

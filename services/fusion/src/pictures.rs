@@ -60,8 +60,8 @@ impl PictureReader {
         views.iter().filter_map(|(header, pixels)| reader.read(header, *pixels)).collect()
     }
 
-    /// Those of a frame's unanswered views that are regions of interest. A view that cannot be read
-    /// is left out; detection reports why.
+    /// Pictures of a frame's unanswered regions of interest. A view that cannot be read is left
+    /// out; detection reports why.
     pub fn regions<'c, P: Pixels>(
         &'c mut self,
         held: &'c HeldViews<P>,

@@ -9,15 +9,15 @@ pub enum TimeBudget {
     Unlimited,
     /// Until the next frame comes.
     OneFrame,
-    /// It is spent: newer frames wait already.
+    /// The budget is spent: newer frames wait already.
     Overspent,
 }
 
 /// For so many frames a target's direct pass is suspended after markers contradicted its pose.
 pub const SUSPENDED_FRAMES: u64 = 15;
 
-/// Of the frames that the direct pass measures, every fourth is searched for markers too, so that they
-/// can be compared. A search costs four times as much as the direct pass.
+/// Every so many frames of the direct pass are searched for markers too, for comparison. A search
+/// costs four times as much as the direct pass.
 const MARKERS_EVERY_FRAMES: u32 = 4;
 
 /// Every third frame has time to search round the prediction of one target that is out of sight.

@@ -5,7 +5,7 @@ use std::fmt;
 
 use flockeye_contract::{DetectionHeader, FrameEnd, FrameStamp, ViewHeader};
 
-/// No source is faster than this, nanoseconds.
+/// Shortest interval of any source, nanoseconds.
 const SHORTEST_INTERVAL_NS: u64 = 1_000_000;
 /// Frames that may come at once, such as those that waited while this process was stopped.
 const FREE_STEP: u64 = 64;
@@ -39,11 +39,11 @@ pub enum Refusal {
         /// The plan.
         plan_id: u64,
     },
-    /// No source makes so many frames in the time.
+    /// The sequence rose by more frames than any source makes in the time.
     ImpossibleStep {
         /// The frame's sequence number.
         sequence: u64,
-        /// That of the newest one before.
+        /// Sequence of the newest frame before.
         newest: u64,
     },
 }

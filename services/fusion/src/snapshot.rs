@@ -26,7 +26,7 @@ pub enum SnapshotError {
         /// Its version.
         found: u32,
     },
-    /// It is not a snapshot, or was cut off.
+    /// The bytes are no snapshot, or were cut off.
     #[error("it cannot be read: {0}")]
     Unreadable(#[from] postcard::Error),
 }

@@ -75,12 +75,12 @@ impl Target {
         Self { body, life, track_id: 0 }
     }
 
-    /// Where it will be at a time, if it is tracked.
+    /// Predicts the target for a time, if it is tracked.
     pub fn predict(&self, at_s: f64, ego: &EgoRotation) -> Option<Prediction> {
         self.life.predict(at_s, ego)
     }
 
-    /// Whether it has a track.
+    /// Whether the target has a track.
     pub fn is_tracked(&self) -> bool {
         self.life.track().is_some()
     }

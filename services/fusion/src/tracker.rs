@@ -191,7 +191,7 @@ impl Tracker {
         best_views: &BestViews<'_>,
         budget: TimeBudget,
     ) -> Vec<Update> {
-        // The same passes as if each region's record had come alone: what a frame says must not
+        // The passes run as if each region's record had come alone: the result of a frame must not
         // depend on when its parts came.
         let mut updates = self.region_pass(time, parts, answered, best_views, budget);
         let left: Vec<(usize, &[AnsweredView<'_>])> =

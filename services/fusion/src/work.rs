@@ -51,7 +51,7 @@ pub enum Completion {
     Whole,
     /// Its deadline has passed, or too many frames are open.
     Overdue,
-    /// It was under way when this process began, which never receives what came before.
+    /// The frame was under way when this process began, which never receives what came before.
     Partial,
 }
 

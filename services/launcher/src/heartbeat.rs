@@ -10,7 +10,7 @@ pub struct ProcessStat {
 }
 
 impl ProcessStat {
-    /// Of a process that runs.
+    /// Reads the processor time of a process that runs.
     pub fn of(pid: u32) -> Option<Self> {
         Self::parse(&std::fs::read_to_string(format!("/proc/{pid}/stat")).ok()?)
     }

@@ -42,7 +42,7 @@ pub const STOP_TIME: Duration = Duration::from_millis(1400);
 pub enum ProcessChange {
     /// Nothing.
     None,
-    /// It ended without being asked to.
+    /// The process ended without being asked to.
     Ended {
         /// How it ended, in words.
         how: String,
@@ -51,26 +51,27 @@ pub enum ProcessChange {
         /// How long until it is started again; `None`: its restart policy gives it up.
         retry_in: Option<Duration>,
     },
-    /// It ended as it was asked to, and stays so.
+    /// The process ended as it was asked to, and stays so.
     Stopped,
-    /// It was started again, after the caller cleaned up dead nodes.
+    /// The process was started again, after the caller cleaned up dead nodes.
     Restarted,
 }
 
 /// What a process is doing, as far as the launcher decides it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Condition {
-    /// Not yet started.
+    /// The process is not started yet.
     New,
-    /// It runs.
+    /// The process runs.
     Running,
-    /// It is started again at this time.
+    /// The process is started again at this time.
     Waiting(Instant),
-    /// It is started again at this time, after a long rest: its messages were bad again and again.
+    /// The process is started again at this time, after a long rest: its messages were bad again and
+    /// again.
     Resting(Instant),
-    /// It was ended on demand.
+    /// The process was ended on demand.
     Stopped,
-    /// It failed for good.
+    /// The process failed for good.
     GivenUp,
 }
 
@@ -96,7 +97,7 @@ pub struct Process {
     pub heartbeat: Heartbeat,
     /// Whether its start was found to take too long.
     pub is_late: bool,
-    /// Whether it was found to answer nothing.
+    /// Whether the process was found to answer nothing.
     pub is_silent: bool,
     /// The highest generation that any process of this worker has had.
     used_generations: u32,

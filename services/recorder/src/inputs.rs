@@ -180,7 +180,7 @@ impl<T: Topic> Input for Lane<T> {
         // those that are left.
         let mut counts: Vec<(Sender, usize)> = Vec::new();
         loop {
-            // Who waits for the reader waits for the disk.
+            // A stage that waits for the reader waits for the disk.
             if self.is_awaited && !queue.has_room() {
                 return Ok(false);
             }

@@ -34,9 +34,9 @@ struct State {
 pub enum Taken {
     /// The next message.
     Entry(Entry),
-    /// None has come in time.
+    /// No message has come in time.
     Nothing,
-    /// No more will come.
+    /// No further message will come.
     End,
 }
 

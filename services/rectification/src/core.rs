@@ -352,7 +352,7 @@ impl<F> Core<F> {
     fn end(&mut self, position: usize, reason: StopReason, now_ns: i64) -> Option<FrameEnd> {
         let job = &mut self.active[position].job;
         if job.has_ended() {
-            // Nobody needs to wait for the answer.
+            // The answer is not waited for.
             let given_up = job.frame.stamp.order();
             self.dispatcher.retain(|(frame, _)| frame != given_up);
             self.active.remove(position);

@@ -29,7 +29,7 @@ pub(crate) struct Patch {
 /// A flat side with everything printed on it.
 #[derive(Debug, Clone)]
 pub(crate) struct PaintedFace {
-    /// Where it is.
+    /// The flat side.
     pub face: Face,
     /// Its own reflectance.
     pub reflectance: f64,

@@ -20,7 +20,7 @@ const WIDE_STEP_S: f64 = 1e-3;
 pub struct DroneMotion {
     /// Yaw at time 0, radians, and the rate of the steady yaw, rad/s.
     yaw: [f64; 2],
-    /// Where it is but for gusts; `None`: at the world's origin.
+    /// Path of the drone without gusts; `None`: it stays at the world's origin.
     wander: Option<Wander>,
     /// `None` in calm air.
     gusts: Option<Gusts>,

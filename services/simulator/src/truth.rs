@@ -65,7 +65,7 @@ pub struct TargetTruth {
     pub localisable: bool,
 }
 
-/// Who looks.
+/// The observer.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Viewer<'a> {
     /// The camera's eyes.

@@ -51,7 +51,7 @@ impl Wander {
         }
     }
 
-    /// Where it is at a time, metres.
+    /// Position at a time, metres.
     pub(crate) fn position(&self, time_s: f64) -> Vector3<f64> {
         let phase = self.rate * time_s;
         self.place + Vector3::from_fn(|axis, _| self.axes[axis].value(phase))
@@ -62,7 +62,7 @@ impl Wander {
         self.start_yaw
     }
 
-    /// Whether it turns to its left (1) or to its right (-1).
+    /// Sense of the turn: to the left (1) or to the right (-1).
     pub(crate) fn sense(&self) -> f64 {
         self.sense
     }

@@ -190,7 +190,7 @@ fn continued() -> Flown {
     flown
 }
 
-/// The same flight, with what was decided of alpha in it.
+/// Flies on, with an account of what was decided of alpha.
 pub fn flown_on_with_account() -> (Recording, Vec<(FrameOrder, AccountEntry)>) {
     let flown = continued();
     let account = flown.core.tracker().account().to_vec();

@@ -20,7 +20,7 @@ const MAX_DATAGRAM: usize = 2048;
 enum Peer {
     /// There; nobody else is heard.
     Fixed,
-    /// Where it was heard last, and when.
+    /// Address that the last message came from, and its time.
     Heard(Mutex<Option<(SocketAddr, Instant)>>),
 }
 
@@ -81,7 +81,7 @@ impl UdpReader {
         decode(&self.datagram[..length], |header, message| is_autopilot |= hear(header, message));
         if is_autopilot && let Peer::Heard(heard) = &*self.peer {
             let mut heard = lock(heard);
-            // Who claims to be the autopilot is not believed while it speaks from elsewhere.
+            // Messages from another address are refused while the autopilot sends.
             let is_free =
                 heard.is_none_or(|(peer, last)| peer == sender || last.elapsed() > SILENT);
             if is_free {
@@ -110,7 +110,8 @@ impl UdpWriter {
     }
 }
 
-/// Whether it only says that nobody is there now: the autopilot starts later, or its network does.
+/// Whether the error only means that nobody receives now: the autopilot starts later, or its
+/// network does.
 fn is_nobody(error: &io::Error) -> bool {
     use io::ErrorKind::{ConnectionRefused, HostUnreachable, NetworkDown, NetworkUnreachable};
     matches!(error.kind(), ConnectionRefused | HostUnreachable | NetworkDown | NetworkUnreachable)

@@ -35,7 +35,7 @@ pub(super) fn from_odometry(message: &ODOMETRY_DATA) -> Option<OdometryAt> {
         odom_from_base: Isometry3::from_parts(position.into(), odom_from_base),
         frame,
         covariance: covariance(&message.pose_covariance).map(|covariance| {
-            // Of the position along the local frame's axes, of the rotation along the body's (FRD).
+            // The position's part is along the local frame's axes, the rotation's along the body's (FRD).
             let mut turn = Matrix6::zeros();
             turn.fixed_view_mut::<3, 3>(0, 0).copy_from(&matrix(&odom_from_local));
             turn.fixed_view_mut::<3, 3>(3, 3)
@@ -78,7 +78,7 @@ pub(super) fn from_attitude(message: &ATTITUDE_QUATERNION_DATA) -> Option<Attitu
 
 fn vector(parts: [f32; 3]) -> Option<Vector3<f64>> {
     let vector = Vector3::from(parts.map(f64::from));
-    // Also false where one of them is no number.
+    // The test also fails where one of them is no number.
     (vector.amax() < LARGEST && vector.iter().all(|part| part.is_finite())).then_some(vector)
 }
 

@@ -63,7 +63,7 @@ pub struct Message<T: Topic> {
     sample: ShmSample<T>,
 }
 
-/// Who sent a message.
+/// The sender of a message.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Sender(UniquePublisherId);
 
@@ -76,7 +76,7 @@ impl<T: Topic> Message<T> {
         self.sample.payload()
     }
 
-    /// Who sent it.
+    /// The sender of the message.
     pub fn sender(&self) -> Sender {
         Sender(self.sample.origin())
     }

@@ -5,9 +5,9 @@ use crate::measurement::{MeasuredBy, Measurement};
 /// What a pass led to.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Outcome {
-    /// No pose.
+    /// The pass gave no pose.
     Nothing,
-    /// No pose yet: the background pass was asked for.
+    /// The pass gave no pose yet: the background pass was asked for.
     InBackground,
     /// A pose that is not precise. It waits for the frame's end, in case that something better is found.
     Imprecise(Measurement),

@@ -63,7 +63,7 @@ pub struct Frames<P> {
 }
 
 impl<P: Pixels> Frames<P> {
-    /// No frame is open yet. There are `targets` targets.
+    /// Starts without an open frame, for `targets` targets.
     pub fn new(keeping: Keeping, targets: usize) -> Self {
         Self {
             keeping,
@@ -267,8 +267,8 @@ impl<P: Pixels> Frames<P> {
         }
     }
 
-    /// Releases what is too much. Of views without a record the oldest go. Of the others newer
-    /// frames give way to a stalled one: their targets are measured without pixels.
+    /// Releases surplus views: the oldest of those without a record, and of the others those of
+    /// newer frames. The targets of a stalled frame keep their pixels so.
     fn release_surplus(&mut self) {
         while self.unanswered() > self.keeping.max_unanswered {
             self.frames.values_mut().any(|frame| frame.held.release_unanswered());

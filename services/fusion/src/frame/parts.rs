@@ -42,10 +42,10 @@ pub struct RejectedAlignment {
 /// How far a target's measurement in one frame has come.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub enum Status {
-    /// It was not tried yet.
+    /// The target was not tried yet.
     #[default]
     Pending,
-    /// It was last tried with these inputs, which led to nothing. Only new inputs are worth a retry.
+    /// The last try with these inputs led to nothing. Only new inputs are worth a retry.
     Failed(Attempt),
     /// Its pose has left, or may have left the process before this one. `direct_pose` is that pose
     /// where it came from the direct pass: markers that are decoded later are compared with it.

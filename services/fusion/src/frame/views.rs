@@ -32,7 +32,7 @@ struct HeldView<P> {
 /// depend on the order in which they come.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ViewQuality {
-    /// Whether it is this target's region of interest.
+    /// Whether the view is this target's region of interest.
     pub is_own: bool,
     /// Decoded markers of the target. Squares that only look like markers are found in many views,
     /// so they do not count.

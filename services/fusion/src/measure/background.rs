@@ -43,7 +43,7 @@ pub struct Subject {
 pub struct Answer {
     /// What it looked for.
     pub subject: Subject,
-    /// Whether it was found without the prior of a track, so that it may start one.
+    /// Whether the pose was found without the prior of a track, so that it may start one.
     pub is_independent: bool,
     /// The distance that the view's rays are right for, metres.
     pub rays_m: f64,

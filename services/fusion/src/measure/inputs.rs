@@ -161,7 +161,7 @@ impl Inputs<'_> {
             body: self.body,
             decoded: &self.decoded,
             confirmed: self.prior.confirmed().map(|prior| &prior.camera_from_markers),
-            // It would have to win against all starts, the deferred ones too.
+            // A pose must win against all starts, the deferred ones too.
             needs_facets: is_deferred && self.prior.predicted().is_none(),
             round: self.search_round(),
         };

@@ -34,7 +34,7 @@ impl Tracker {
         let targets = 0..self.targets.len();
         targets.filter_map(move |target| {
             let shown = self.prediction(target, self.shown_s(target, at_s))?;
-            // It stands for the frame, whenever the body's rows are exposed.
+            // The prediction stands for the frame, whenever the body's rows are exposed.
             Some((target, Prediction { stamp_s: at_s, ..shown }))
         })
     }

@@ -121,7 +121,7 @@ pub struct SwapRequest {
     pub program: Vec<String>,
     /// How long the new process may take to do as well as the old one, seconds.
     pub within_s: f64,
-    /// Whether it may do worse than the old one.
+    /// Whether the new process may do worse than the old one.
     #[serde(default)]
     pub accept_worse: bool,
 }
@@ -132,19 +132,19 @@ pub struct SwapRequest {
 pub enum Reply {
     /// What has been done so far, in words. More follows.
     Progress(String),
-    /// It is done: in words, and as a value for programs.
+    /// The request is done: in words, and as a value for programs.
     Done {
         /// The result in words.
         text: String,
         /// The result for programs.
         report: serde_json::Value,
     },
-    /// It was not done, and why.
+    /// The request was not done, and why.
     Failed(String),
 }
 
 impl Reply {
-    /// It is done, and this text is the whole result.
+    /// An answer that the request is done. The text is the whole result.
     pub fn done(text: impl Into<String>) -> Self {
         Self::Done { text: text.into(), report: serde_json::Value::Null }
     }

@@ -42,7 +42,7 @@ pub(crate) struct StageReport {
     pub published_per_s: f64,
     /// Latency of its work since its last report; none where it did nothing.
     pub latency_median_ms: Option<f64>,
-    /// The same: 99 % quantile.
+    /// 99 % quantile of the latency, milliseconds.
     pub latency_p99_ms: Option<f64>,
     /// Messages taken in or given out that are not finished.
     pub queued: u64,

@@ -19,7 +19,7 @@ pub struct Memo {
     pub counting_generation: u32,
     /// The program that is started anew.
     pub command: Vec<String>,
-    /// Whether it was ended on demand.
+    /// Whether the process was ended on demand.
     pub is_stopped: bool,
 }
 

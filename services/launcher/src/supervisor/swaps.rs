@@ -120,7 +120,7 @@ impl Supervisor<'_> {
         let shadow = Shadow::open(worker, generations, &mut own_ports)?;
         let within = Duration::from_secs_f64(request.within_s);
         let judge = Judge::new(worker, generations, Instant::now(), within, request.accept_worse);
-        // Nobody may listen to it before it sends its first message.
+        // The announcement comes first, so that readers ignore the new process.
         self.hand_over.announce(ports, judge.begin())?;
         self.messages.keep_apart(Some((worker, process.generation)));
         if let Err(error) = process.start() {

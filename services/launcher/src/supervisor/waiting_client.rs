@@ -24,7 +24,7 @@ pub(super) struct WaitingClient {
 pub(super) enum Wanted {
     /// Its process has ended.
     Stopped,
-    /// It is ready, in a generation after this one.
+    /// The worker is ready, in a generation after this one.
     ReadyAfter(Option<u32>),
 }
 

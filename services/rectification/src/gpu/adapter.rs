@@ -37,7 +37,7 @@ impl FoundAdapter {
         &self.info.name
     }
 
-    /// Whether it is a program on the processor that only behaves like a graphics processor.
+    /// Whether the device is a program on the processor that imitates a graphics processor.
     pub fn is_software(&self) -> bool {
         self.info.device_type == DeviceType::Cpu
     }

@@ -131,7 +131,7 @@ impl Device {
     pub(super) fn map(&self, buffer: &wgpu::Buffer, mode: MapMode, bytes: u64) -> Mapped {
         let (sender, mapped) = mpsc::channel();
         buffer.map_async(mode, ..bytes, move |result| {
-            // Nobody receives any more if the buffer's contents are not wanted after all.
+            // The receiver is gone if the buffer's contents are not wanted after all.
             let _ = sender.send(result);
         });
         mapped

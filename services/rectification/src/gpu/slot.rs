@@ -49,12 +49,12 @@ impl Slot {
         }
     }
 
-    /// Whether it has this frame.
+    /// Whether the slot has this frame.
     pub(super) fn holds(&self, frame: FrameKey, sphere: &SphereImage<'_>) -> bool {
         self.frame == Some((frame, SphereUniform::new(sphere.camera(), sphere.stride())))
     }
 
-    /// Whether it has a frame of which no view was ordered.
+    /// Whether the slot has a frame of which no view was ordered.
     pub(super) fn is_untouched(&self) -> bool {
         self.frame.is_some() && self.filled == 0
     }
