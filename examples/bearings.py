@@ -73,7 +73,7 @@ class Bearings:
             has_after=after is not None,
             generation=self.stage.generation,
             stop_rule=StopRule.DEADLINE,
-            mode=SearchMode.GAZE,
+            mode=SearchMode.ROI,
             view_budget=self.budget,
         )
         if after is not None:

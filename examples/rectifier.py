@@ -171,7 +171,7 @@ class Rectifier:
         if not self.views:
             return StopReason.COMPLETE
         if self.rule == StopRule.DEADLINE and self.issued > 0:
-            is_region = self.views[0][1].kind == ViewKind.GAZE
+            is_region = self.views[0][1].kind == ViewKind.ROI
             if self.stage.is_lossless:
                 return StopReason.BUDGET if self.issued >= self.budget else None
             if is_newer_there and not is_region:

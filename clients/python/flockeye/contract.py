@@ -52,7 +52,7 @@ class RotationSource(IntEnum):
 
 class ViewKind(IntEnum):
     PARTITION = 0
-    GAZE = 1
+    ROI = 1
     HIGH_RESOLUTION = 2
     PROPOSAL = 3
 
@@ -84,7 +84,7 @@ class SearchMode(IntEnum):
     GREEDY = 0
     OPTIMIZED = 1
     EXHAUSTIVE = 2
-    GAZE = 3
+    ROI = 3
 
 
 class TrackState(IntEnum):

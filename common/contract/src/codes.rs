@@ -168,7 +168,7 @@ codes! {
         /// A tile of the sphere: one of the partition's views.
         Partition = 0,
         /// A region of interest: a small view centred on where a neighbour is predicted.
-        Gaze = 1,
+        Roi = 1,
         /// A high-resolution tile: one of the finer tiles that show neighbours at long range.
         HighResolution = 2,
         /// A proposal: a small view of a place that looks like a body. A plan asks for it, rectification
@@ -233,9 +233,7 @@ codes! {
         /// Every partition of every frame.
         Exhaustive = 2,
         /// Magnified views at the predicted neighbours first, then partitions, least recently searched first.
-        /// Messages keep the name by which stages know it; `pipeline.yaml` says `roi`.
-        #[serde(rename = "roi")]
-        Gaze = 3,
+        Roi = 3,
     }
 }
 
@@ -300,6 +298,8 @@ mod tests {
         check(MeasuredBy::ALL, MeasuredBy::name);
         check(RotationSource::ALL, RotationSource::name);
         check(PixelFormat::ALL, PixelFormat::name);
+        check(SearchMode::ALL, SearchMode::name);
+        check(ViewKind::ALL, ViewKind::name);
         assert_eq!(RotationSource::PictureAndInertial.name(), "picture_and_inertial");
     }
 

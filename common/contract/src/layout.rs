@@ -130,7 +130,7 @@ fn senseless_plans_and_detections_are_refused() {
     assert!(refused(&|view| view.search = 77).contains("unknown search code 77"));
     assert!(refused(&|view| view.kind = 77).contains("unknown view kind code 77"));
     assert!(
-        refused(&|view| (view.kind, view.target) = (ViewKind::Gaze.code(), u32::MAX))
+        refused(&|view| (view.kind, view.target) = (ViewKind::Roi.code(), u32::MAX))
             .contains("target")
     );
     assert!(

@@ -106,7 +106,7 @@ impl PlannedView {
         if !self.rate_in_camera.iter().all(|rate| rate.is_finite() && rate.abs() < 1e3) {
             return Err(ContractError::NotFinite { what: "view rate" });
         }
-        if kind == ViewKind::Gaze && self.target == NONE {
+        if kind == ViewKind::Roi && self.target == NONE {
             return Err(ContractError::Missing { what: "target of a region of interest" });
         }
         if self.has_prediction != 0 {

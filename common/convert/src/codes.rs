@@ -60,7 +60,7 @@ pub fn purpose_of(view: &ViewHeader) -> Option<search::Purpose> {
         contract::ViewKind::HighResolution => {
             Some(search::Purpose::HighResolution(view.tile as usize))
         }
-        contract::ViewKind::Gaze => Some(search::Purpose::Roi(view.target as usize)),
+        contract::ViewKind::Roi => Some(search::Purpose::Roi(view.target as usize)),
         contract::ViewKind::Proposal => Some(search::Purpose::Proposal),
     }
 }

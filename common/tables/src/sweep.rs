@@ -132,7 +132,7 @@ impl Sweep {
                 let parts = match ViewKind::try_from(kind).ok()? {
                     ViewKind::Partition => &mut self.partitions,
                     ViewKind::HighResolution => &mut self.high_resolution,
-                    ViewKind::Gaze | ViewKind::Proposal => return None,
+                    ViewKind::Roi | ViewKind::Proposal => return None,
                 };
                 parts.get_mut(tile as usize)?.as_mut()
             })
@@ -180,7 +180,7 @@ mod tests {
     use super::*;
     use flockeye_contract::FrameStamp;
 
-    use ViewKind::{Gaze, HighResolution, Partition};
+    use ViewKind::{HighResolution, Partition, Roi};
 
     fn plan_of(views: &[(ViewKind, u32)]) -> Vec<PlannedView> {
         let view = |&(kind, tile): &(ViewKind, u32)| {
@@ -206,7 +206,7 @@ mod tests {
         let mut sweep = Sweep::new(&[true, true, false], &[true]);
         assert_eq!(sweep.report(), None);
         // A region of interest first; then partition 1, partition 0 and a high-resolution tile.
-        let views = [(Gaze, u32::MAX), (Partition, 1), (Partition, 0), (HighResolution, 0)];
+        let views = [(Roi, u32::MAX), (Partition, 1), (Partition, 0), (HighResolution, 0)];
         sweep.plan(1, &plan_of(&views));
         for (sequence, views) in [(10, vec![0, 1, 2]), (11, vec![0, 3]), (14, vec![0, 1])] {
             views.into_iter().for_each(|view| search(&mut sweep, sequence, 1, view));

@@ -310,7 +310,7 @@ mod tests {
         let fresh = core().on_view(&view(), &pixels).expect("it is ours");
         let mut used = core();
         let magnified = ViewHeader {
-            kind: ViewKind::Gaze.code(),
+            kind: ViewKind::Roi.code(),
             focal_px: 3.0 * FOCAL_PX,
             search: Search::CoarseWindow.code(),
             ..view()

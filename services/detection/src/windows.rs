@@ -92,7 +92,7 @@ pub fn thresholds(
 ) -> impl Iterator<Item = Threshold> + Clone {
     let windows = match kind {
         ViewKind::Partition | ViewKind::HighResolution => TILE_WINDOWS,
-        ViewKind::Gaze | ViewKind::Proposal => REGION_WINDOWS,
+        ViewKind::Roi | ViewKind::Proposal => REGION_WINDOWS,
     };
     let chosen = match search {
         Search::AllWindows => windows,
@@ -122,15 +122,15 @@ mod tests {
             assert_eq!(windows_px(kind, Search::CoarseWindow, 1.0), [31]);
             assert!(windows_px(kind, Search::Nothing, 1.0).is_empty());
         }
-        assert_eq!(windows_px(ViewKind::Gaze, Search::AllWindows, 1.0), [5, 7, 15, 31, 31]);
-        assert_eq!(windows_px(ViewKind::Gaze, Search::FineWindow, 1.0), [5]);
+        assert_eq!(windows_px(ViewKind::Roi, Search::AllWindows, 1.0), [5, 7, 15, 31, 31]);
+        assert_eq!(windows_px(ViewKind::Roi, Search::FineWindow, 1.0), [5]);
     }
 
     #[test]
     fn windows_grow_with_the_magnification_and_stay_odd() {
         assert_eq!(windows_px(ViewKind::Partition, Search::AllWindows, 2.0), [15, 31, 63, 63]);
         for magnification in [0.0, 1e-9, 0.7, 3.3, 1e12, f64::INFINITY, f64::NAN] {
-            let windows = windows_px(ViewKind::Gaze, Search::AllWindows, magnification);
+            let windows = windows_px(ViewKind::Roi, Search::AllWindows, magnification);
             let is_allowed = |window: &usize| window % 2 == 1 && (1..=1001).contains(window);
             assert!(windows.iter().all(is_allowed), "{magnification}: {windows:?}");
         }

@@ -280,7 +280,7 @@ fn planned_view(
     let (kind, tile, target) = match planned.purpose {
         Purpose::Partition(tile) => (ViewKind::Partition, tile as u32, NONE),
         Purpose::HighResolution(tile) => (ViewKind::HighResolution, tile as u32, NONE),
-        Purpose::Roi(target) => (ViewKind::Gaze, NONE, target as u32),
+        Purpose::Roi(target) => (ViewKind::Roi, NONE, target as u32),
         Purpose::Proposal => (ViewKind::Proposal, NONE, NONE),
     };
     let prediction = match planned.purpose {

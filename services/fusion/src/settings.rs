@@ -133,8 +133,8 @@ fn search_mode(pipeline: &Pipeline) -> SearchMode {
     match pipeline.search.mode {
         contract::SearchMode::Greedy => SearchMode::Greedy,
         contract::SearchMode::Optimized => SearchMode::Optimized,
-        contract::SearchMode::Gaze if pipeline.has_tracks() => SearchMode::Roi,
-        contract::SearchMode::Exhaustive | contract::SearchMode::Gaze => SearchMode::Exhaustive,
+        contract::SearchMode::Roi if pipeline.has_tracks() => SearchMode::Roi,
+        contract::SearchMode::Exhaustive | contract::SearchMode::Roi => SearchMode::Exhaustive,
     }
 }
 

@@ -7,7 +7,6 @@ use anyhow::{Context, ensure};
 use clap::Args;
 use flockeye_cli::{Configuration, Screen, duration, signals};
 use flockeye_config::{FrameLimit, Profile, RecordingTrigger, Resolved};
-use flockeye_contract::SearchMode;
 use flockeye_dictionary::Dictionary;
 use flockeye_geometry::partition;
 use flockeye_network::NetworkParameters;
@@ -178,10 +177,7 @@ fn plan(resolved: &Resolved, budget: &Budget) -> anyhow::Result<String> {
 /// How frames are searched, and how often each part of the sphere is.
 fn search(resolved: &Resolved, partitions: usize) -> anyhow::Result<String> {
     let pipeline = &resolved.pipeline;
-    let mode = match pipeline.search.mode {
-        SearchMode::Gaze => "roi",
-        other => other.name(),
-    };
+    let mode = pipeline.search.mode.name();
     if !pipeline.has_regions() {
         return Ok(mode.to_owned());
     }

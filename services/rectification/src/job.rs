@@ -312,7 +312,7 @@ mod tests {
         }
     }
 
-    use ViewKind::{Gaze, HighResolution, Partition as Part};
+    use ViewKind::{HighResolution, Partition as Part, Roi};
 
     #[test]
     fn the_paper_stops_at_the_first_hit() {
@@ -330,15 +330,15 @@ mod tests {
 
     #[test]
     fn a_newer_frame_pushes_out_tiles_only() {
-        let mut searched = job(StopRule::Deadline, &[Gaze, Gaze, Part, Part, Part], usize::MAX);
+        let mut searched = job(StopRule::Deadline, &[Roi, Roi, Part, Part, Part], usize::MAX);
         assert_eq!(run(&mut searched, None, 0), (2, StopReason::Newer));
         let mut searched = job(StopRule::Deadline, &[Part; 5], usize::MAX);
         assert_eq!(run(&mut searched, None, 0), (1, StopReason::Newer), "one is always searched");
-        let mut searched = job(StopRule::Deadline, &[Gaze, Part, Gaze, Part, Part], usize::MAX);
+        let mut searched = job(StopRule::Deadline, &[Roi, Part, Roi, Part, Part], usize::MAX);
         assert_eq!(run(&mut searched, None, 0), (3, StopReason::Newer), "no neighbour is left out");
         let mut searched = job(StopRule::Deadline, &[Part; 5], 3);
         assert_eq!(run(&mut searched, None, u32::MAX), (3, StopReason::Budget));
-        let mut searched = job(StopRule::Deadline, &[Gaze, HighResolution, Part], usize::MAX);
+        let mut searched = job(StopRule::Deadline, &[Roi, HighResolution, Part], usize::MAX);
         assert_eq!(
             run(&mut searched, None, 0),
             (1, StopReason::Newer),
@@ -349,7 +349,7 @@ mod tests {
     #[test]
     fn proposals_get_their_places_in_order_and_give_way_to_a_newer_frame() {
         use ViewKind::Proposal;
-        let mut searched = job(StopRule::Deadline, &[Gaze, Proposal, Proposal, Part], usize::MAX);
+        let mut searched = job(StopRule::Deadline, &[Roi, Proposal, Proposal, Part], usize::MAX);
         assert_eq!(searched.proposal_indices(), [1, 2]);
         assert!(searched.awaits_places());
         assert_eq!(searched.likely(0), [0, 3], "what has no place cannot be cut ahead");
@@ -393,7 +393,7 @@ mod tests {
 
     #[test]
     fn all_neighbours_and_as_many_tiles_as_before_and_some_are_likely() {
-        let kinds = [Gaze, Part, Part, Part, Gaze, Part, Part];
+        let kinds = [Roi, Part, Part, Part, Roi, Part, Part];
         let of = |rule, budget, searched| job(rule, &kinds, budget).likely(searched);
         assert_eq!(of(StopRule::Deadline, usize::MAX, 0), [0, 1, 2, 4]);
         assert_eq!(of(StopRule::Deadline, usize::MAX, 2), [0, 1, 2, 3, 4, 5]);

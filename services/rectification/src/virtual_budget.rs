@@ -127,8 +127,8 @@ mod tests {
         budget.begin_frame(&stamp(1, 50));
         assert_eq!(tiles(&mut budget), 9, "2 * 50 - 10 = 90 ms");
         budget.begin_frame(&stamp(3, 150));
-        budget.spend(&planned(ViewKind::Gaze, Search::Nothing));
-        budget.spend(&planned(ViewKind::Gaze, Search::AllWindows));
+        budget.spend(&planned(ViewKind::Roi, Search::Nothing));
+        budget.spend(&planned(ViewKind::Roi, Search::AllWindows));
         assert_eq!(tiles(&mut budget), 6, "90 - 5 - 21 = 64 ms");
         let both = planned(ViewKind::HighResolution, Search::AllWindows);
         budget.begin_frame(&stamp(4, 200));
@@ -157,7 +157,7 @@ mod tests {
     fn a_frame_that_takes_longer_takes_it_from_the_next() {
         let mut budget = VirtualBudget::new(costs(), false);
         budget.begin_frame(&stamp(0, 0));
-        let region = planned(ViewKind::Gaze, Search::AllWindows);
+        let region = planned(ViewKind::Roi, Search::AllWindows);
         (0..4).for_each(|_| budget.spend(&region));
         assert_eq!(tiles(&mut budget), 0, "56.7 - 84 = -27.3 ms");
         budget.begin_frame(&stamp(1, 50));

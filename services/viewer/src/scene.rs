@@ -232,7 +232,7 @@ impl Scene {
                 Ok(ViewKind::HighResolution) if is_searched => {
                     shown.high_resolution.push(view.tile);
                 }
-                Ok(ViewKind::Gaze) => shown.regions.push(region(view, stamp)),
+                Ok(ViewKind::Roi) => shown.regions.push(region(view, stamp)),
                 // Only rectification knows where a proposal is.
                 _ => {}
             }

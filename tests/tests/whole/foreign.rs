@@ -192,7 +192,7 @@ fn lie_with_plans(node: &Node<ipc::Service>, refusals: &mut Refusals<'_>) {
         ("a view at infinity", PlannedView { focal_px: f64::INFINITY, ..view }),
         ("a view that spins", PlannedView { rate_in_camera: [f64::NAN; 3], ..view }),
         ("a search in no known way", PlannedView { search: 77, ..view }),
-        ("a region of interest of nobody", PlannedView { kind: ViewKind::Gaze.code(), ..view }),
+        ("a region of interest of nobody", PlannedView { kind: ViewKind::Roi.code(), ..view }),
     ];
     for (what, view) in lies {
         let plan = PlanHeader { plan_id: 1, ..PlanHeader::default() };

@@ -71,7 +71,7 @@ enum flockeye_rotation_source {
 
 enum flockeye_view_kind {
     FLOCKEYE_VIEW_KIND_PARTITION = 0,
-    FLOCKEYE_VIEW_KIND_GAZE = 1,
+    FLOCKEYE_VIEW_KIND_ROI = 1,
     FLOCKEYE_VIEW_KIND_HIGH_RESOLUTION = 2,
     FLOCKEYE_VIEW_KIND_PROPOSAL = 3,
 };
@@ -103,7 +103,7 @@ enum flockeye_search_mode {
     FLOCKEYE_SEARCH_MODE_GREEDY = 0,
     FLOCKEYE_SEARCH_MODE_OPTIMIZED = 1,
     FLOCKEYE_SEARCH_MODE_EXHAUSTIVE = 2,
-    FLOCKEYE_SEARCH_MODE_GAZE = 3,
+    FLOCKEYE_SEARCH_MODE_ROI = 3,
 };
 
 enum flockeye_track_state {

@@ -160,13 +160,13 @@ impl Pipeline {
     /// Whether each neighbour is searched where it is predicted, and the sphere is swept in the remaining
     /// time. Without tracks there is no prediction, and the whole sphere is searched.
     pub fn has_regions(&self) -> bool {
-        self.search.mode == SearchMode::Gaze && self.has_tracks()
+        self.search.mode == SearchMode::Roi && self.has_tracks()
     }
 
     /// Whether each frame is a picture for itself that is searched as well as can be. The paper's modes
     /// keep their own extent.
     pub fn has_single_images(&self) -> bool {
-        self.search.mode == SearchMode::Gaze && !self.has_tracks()
+        self.search.mode == SearchMode::Roi && !self.has_tracks()
     }
 
     /// Views of places that look like a body, in a frame with a target without a track:
@@ -227,10 +227,10 @@ mod tests {
             let pipeline = of(profile, mode);
             (pipeline.has_regions(), pipeline.alternates_windows())
         };
-        assert_eq!(says(Profile::Flight, SearchMode::Gaze), (true, true));
-        assert_eq!(says(Profile::Repeat, SearchMode::Gaze), (true, true));
-        assert_eq!(says(Profile::Unlimited, SearchMode::Gaze), (true, false));
-        assert_eq!(says(Profile::Stills, SearchMode::Gaze), (false, false));
+        assert_eq!(says(Profile::Flight, SearchMode::Roi), (true, true));
+        assert_eq!(says(Profile::Repeat, SearchMode::Roi), (true, true));
+        assert_eq!(says(Profile::Unlimited, SearchMode::Roi), (true, false));
+        assert_eq!(says(Profile::Stills, SearchMode::Roi), (false, false));
         assert_eq!(says(Profile::Flight, SearchMode::Exhaustive), (false, false));
     }
 
@@ -240,8 +240,8 @@ mod tests {
             let pipeline = of(profile, mode);
             (pipeline.has_single_images(), pipeline.proposals())
         };
-        assert_eq!(says(Profile::Flight, SearchMode::Gaze), (false, 12));
-        assert_eq!(says(Profile::Stills, SearchMode::Gaze), (true, 24));
+        assert_eq!(says(Profile::Flight, SearchMode::Roi), (false, 12));
+        assert_eq!(says(Profile::Stills, SearchMode::Roi), (true, 24));
         assert_eq!(says(Profile::Stills, SearchMode::Exhaustive), (false, 0));
         assert_eq!(says(Profile::Repeat, SearchMode::Exhaustive), (false, 0));
     }
@@ -249,7 +249,7 @@ mod tests {
     #[test]
     fn stills_are_waited_for_ten_times_as_long_and_magnified() {
         let says = |profile| {
-            let pipeline = of(profile, SearchMode::Gaze);
+            let pipeline = of(profile, SearchMode::Roi);
             let waits = [pipeline.frame_deadline(), pipeline.view_overdue()];
             (waits.map(|wait| wait.as_millis()), pipeline.tile_magnification())
         };
@@ -257,9 +257,9 @@ mod tests {
             assert_eq!(says(profile), ([3000, 500], 1.0), "{profile:?}");
         }
         assert_eq!(says(Profile::Stills), ([30_000, 5000], 2.0));
-        let runs = |profile| of(profile, SearchMode::Gaze).runs(StageName::Egomotion);
+        let runs = |profile| of(profile, SearchMode::Roi).runs(StageName::Egomotion);
         assert_eq!(Profile::ALL.map(runs), [true, true, true, false]);
-        let answers = Profile::ALL.map(|profile| of(profile, SearchMode::Gaze).answer_deadline());
+        let answers = Profile::ALL.map(|profile| of(profile, SearchMode::Roi).answer_deadline());
         assert_eq!(answers.map(|wait| wait.as_secs()), [9, 9, 9, 600]);
     }
 }

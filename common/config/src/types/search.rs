@@ -33,7 +33,7 @@ pub struct Search {
 impl Default for Search {
     fn default() -> Self {
         Self {
-            mode: SearchMode::Gaze,
+            mode: SearchMode::Roi,
             processors: Costs::default().processors,
             far_magnification: 2.0,
             proposals: 12,

@@ -90,7 +90,7 @@ pub fn region_view(sequence: u64, plan_id: u64) -> ViewHeader {
         stamp: stamp(sequence),
         plan_id,
         view_index: 0,
-        kind: ViewKind::Gaze.code(),
+        kind: ViewKind::Roi.code(),
         target: 0,
         camera_from_view: view.camera_from_view.coords.into(),
         focal_px: view.focal_px,

@@ -104,7 +104,7 @@ fn reason(end: &FrameEnd) -> StopReason {
     StopReason::try_from(end.reason).unwrap()
 }
 
-use ViewKind::{Gaze, Partition as Tile};
+use ViewKind::{Partition as Tile, Roi};
 
 #[test]
 fn a_frame_without_a_plan_is_swept_from_where_the_last_one_stopped() {
@@ -133,7 +133,7 @@ fn the_newest_frame_waits_and_the_others_are_dropped() {
 #[test]
 fn a_plan_is_followed_until_it_is_stale() {
     let mut core = flying(2);
-    core.on(plan(7, &[Gaze, Tile], 0), 0);
+    core.on(plan(7, &[Roi, Tile], 0), 0);
     core.on(frame(0), 0);
     let (orders, ends) = run(&mut core, 0);
     assert_eq!((orders.len(), ends[0].plan_id, ends[0].generation), (2, 7, 3));
@@ -141,7 +141,7 @@ fn a_plan_is_followed_until_it_is_stale() {
     core.on(frame(1), STALE_PLAN_NS);
     assert_eq!(run(&mut core, STALE_PLAN_NS).1[0].plan_id, 0, "fusion has died since");
     let mut lossless = self::core(Flow::Lossless, Clock::Unlimited, 2);
-    lossless.on(plan(7, &[Gaze, Tile, Tile, Tile], 0), 0);
+    lossless.on(plan(7, &[Roi, Tile, Tile, Tile], 0), 0);
     lossless.on(frame(1), STALE_PLAN_NS);
     let (orders, ends) = run(&mut lossless, STALE_PLAN_NS);
     assert_eq!((orders.len(), ends[0].plan_id), (3, 7), "its budget is three views");
@@ -151,7 +151,7 @@ fn a_plan_is_followed_until_it_is_stale() {
 #[test]
 fn regions_are_cut_at_once_and_tiles_one_at_a_time() {
     let mut core = flying(2);
-    core.on(plan(1, &[Gaze, Gaze, Tile, Tile], 0), 0);
+    core.on(plan(1, &[Roi, Roi, Tile, Tile], 0), 0);
     core.on(frame(0), 0);
     let cut = |core: &mut Core<()>| {
         let order = next_cut(core, 0);
@@ -174,7 +174,7 @@ fn regions_are_cut_at_once_and_tiles_one_at_a_time() {
 #[test]
 fn the_views_of_a_silent_worker_go_to_another() {
     let mut core = flying(2);
-    core.on(plan(1, &[Gaze, Gaze], 0), 0);
+    core.on(plan(1, &[Roi, Roi], 0), 0);
     core.on(frame(0), 0);
     let mut orders = Vec::new();
     for _ in 0..2 {
@@ -197,7 +197,7 @@ fn the_views_of_a_silent_worker_go_to_another() {
 #[test]
 fn a_frame_that_cannot_be_cut_ends_as_failed_and_the_next_goes_on() {
     let mut core = flying(2);
-    core.on(plan(1, &[Gaze, Gaze], 0), 0);
+    core.on(plan(1, &[Roi, Roi], 0), 0);
     core.on(frame(0), 0);
     assert!(matches!(core.step(0), Action::TakeUp { .. }));
     core.on(Event::Failed((0, 0, 0)), 0);
@@ -215,7 +215,7 @@ fn a_frame_that_cannot_be_cut_ends_as_failed_and_the_next_goes_on() {
 #[test]
 fn a_view_that_cannot_be_cut_again_releases_its_frame() {
     let mut core = flying(1);
-    core.on(plan(1, &[Gaze], 0), 0);
+    core.on(plan(1, &[Roi], 0), 0);
     core.on(frame(0), 0);
     let order = next_cut(&mut core, 0);
     core.on(published(&order), 0);
@@ -242,7 +242,7 @@ fn a_lossless_frame_is_cut_as_far_as_its_costs_allow_whatever_the_time() {
         };
         let clock = Clock::Virtual(VirtualBudget::new(costs, false));
         let mut core = core(Flow::Lossless, clock, 2);
-        core.on(plan(1, &[&[Gaze][..], &[Tile; 20][..]].concat(), 0), 0);
+        core.on(plan(1, &[&[Roi][..], &[Tile; 20][..]].concat(), 0), 0);
         let mut cut = Vec::new();
         for sequence in 0..3 {
             core.on(frame(sequence), late_ns * sequence as i64);
@@ -267,7 +267,7 @@ fn place(x: f64, y: f64) -> Proposal {
 fn looking() -> Core<()> {
     // Of three workers one is free for a proposal while the region is searched.
     let mut core = flying(3);
-    core.on(plan(1, &[Gaze, ViewKind::Proposal, ViewKind::Proposal], 0), 0);
+    core.on(plan(1, &[Roi, ViewKind::Proposal, ViewKind::Proposal], 0), 0);
     core.on(frame(0), 0);
     let region = next_cut(&mut core, 0);
     assert_eq!(region.header.view_index, 0);

@@ -44,7 +44,7 @@ fn a_frame_goes_out_whole_when_it_ends() {
     let unsearched = PlannedView { tile: 4, ..tile };
     let turn = 0.4;
     let region = PlannedView {
-        kind: ViewKind::Gaze.code(),
+        kind: ViewKind::Roi.code(),
         tile: NONE,
         target: 0,
         camera_from_view: [0.0, 0.0, 0.0, 1.0],

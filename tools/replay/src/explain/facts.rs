@@ -118,7 +118,7 @@ fn views(resolved: &Resolved, known: &FrameKnowledge, direction: Option<&Ray>) -
             view_index,
             kind,
             tile: (tile != NONE).then_some(tile),
-            region_of: name(target).filter(|_| kind == Some(ViewKind::Gaze)),
+            region_of: name(target).filter(|_| kind == Some(ViewKind::Roi)),
             shows_place: direction.map(|direction| is_placed && view.holds(direction, 0.0)),
             is_cut: gathered.views.contains_key(&view_index) || record.is_some(),
             is_answered: record.is_some(),

@@ -197,7 +197,7 @@ fn of_views(explanation: &Explanation, place: &Place) -> Option<(Step, String)> 
         _ => "because rectification had ended the frame",
     };
     // Plans list all tiles; each frame has time for some of them.
-    let mut regions = there().filter(|view| view.kind == Some(ViewKind::Gaze));
+    let mut regions = there().filter(|view| view.kind == Some(ViewKind::Roi));
     if let Some(region) = regions.next() {
         let name = name_of(region);
         let why = format!("{name} was planned {where_it_is} and abandoned, {because}{next}");
@@ -257,7 +257,7 @@ pub fn name_of(view: &ViewFacts) -> String {
     match view.kind {
         Some(ViewKind::Partition) => format!("tile{tile}"),
         Some(ViewKind::HighResolution) => format!("high-resolution tile{tile}"),
-        Some(ViewKind::Gaze) => {
+        Some(ViewKind::Roi) => {
             format!("the region of {}", view.region_of.as_deref().unwrap_or("a target"))
         }
         Some(ViewKind::Proposal) => format!("proposal (view {})", view.view_index),

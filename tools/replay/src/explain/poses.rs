@@ -102,7 +102,7 @@ pub fn predicted(resolved: &Resolved, known: &FrameKnowledge) -> Option<Isometry
     let regions = gathered.views.values().map(|(view, _)| view);
     let region = |view: &&ViewHeader| {
         view.has_prediction != 0
-            && view.kind == ViewKind::Gaze.code()
+            && view.kind == ViewKind::Roi.code()
             && view.target as usize == known.target
     };
     if let Some(view) = regions.clone().find(region) {

@@ -85,7 +85,7 @@ fn behind() -> View {
 }
 
 fn view(index: u32, kind: ViewKind, view: &View) -> ViewHeader {
-    let is_region = kind == ViewKind::Gaze;
+    let is_region = kind == ViewKind::Roi;
     ViewHeader {
         stamp: stamp(FRAME),
         plan_id: 3,
@@ -195,7 +195,7 @@ fn trial(outcome: Outcome, verdicts: &[(f64, Verdict)]) -> AccountEntry {
 
 /// The target's region was cut and searched in vain.
 fn looked_at(known: &mut FrameKnowledge, entry: AccountEntry) {
-    cut(known, view(0, ViewKind::Gaze, &ahead()));
+    cut(known, view(0, ViewKind::Roi, &ahead()));
     searched(known, 0, Vec::new(), 0);
     known.decisions.push(entry);
     ended(known, StopReason::Budget);
@@ -213,7 +213,7 @@ fn what_was_not_looked_at_is_told_by_its_first_step() {
     assert!(why.contains("no view of this frame shows the place where its track predicts it"));
 
     let (step, why) = judged(|known| {
-        planned(known, &[(ViewKind::Gaze, ahead())]);
+        planned(known, &[(ViewKind::Roi, ahead())]);
         ended(known, StopReason::Newer);
     });
     assert_eq!(step, Step::Abandoned, "{why}");
@@ -224,14 +224,14 @@ fn what_was_not_looked_at_is_told_by_its_first_step() {
         planned(known, &[(ViewKind::Partition, ahead())]);
         ended(known, StopReason::Budget);
         // Three frames later it is.
-        let later = ViewHeader { stamp: stamp(FRAME + 3), ..view(0, ViewKind::Gaze, &ahead()) };
+        let later = ViewHeader { stamp: stamp(FRAME + 3), ..view(0, ViewKind::Roi, &ahead()) };
         known.gathered.on(&Message::Header(later));
     });
     assert_eq!(step, Step::NotItsTurn, "{why}");
     assert!(why.contains("not searched yet: tile 4"), "{why}");
     assert!(why.contains("the next view of the place comes 3 frames later"), "{why}");
 
-    let region = || view(0, ViewKind::Gaze, &ahead());
+    let region = || view(0, ViewKind::Roi, &ahead());
     let (step, why) = judged(|known| {
         cut(known, region());
         ended(known, StopReason::Complete);
@@ -256,7 +256,7 @@ fn what_was_looked_at_in_vain_is_told_by_what_was_found() {
 
     let found = |markers: Vec<DetectedMarker>| {
         judged(|known| {
-            cut(known, view(0, ViewKind::Gaze, &ahead()));
+            cut(known, view(0, ViewKind::Roi, &ahead()));
             searched(known, 0, markers, 0);
             ended(known, StopReason::Complete);
         })
@@ -367,7 +367,7 @@ fn corners_that_are_not_enough_are_told() {
             if let AccountEntry::Ran(trial) = &mut decision {
                 trial.corner_poses = vec![CornerPose { solution, is_chosen: true, verdict }];
             }
-            cut(known, view(0, ViewKind::Gaze, &ahead()));
+            cut(known, view(0, ViewKind::Roi, &ahead()));
             searched(known, 0, markers(true), 0);
             known.decisions.push(decision);
             ended(known, StopReason::Complete);

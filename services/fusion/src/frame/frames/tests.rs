@@ -209,7 +209,7 @@ fn a_flood_of_places_is_bounded_and_the_oldest_frame_keeps_its_own() {
 fn regions_are_measured_in_the_order_in_which_they_came() {
     let mut frames = planned(KEEPING);
     for (sequence, view_index) in [(4, 0), (4, 1), (4, 2), (3, 5), (4, 6)] {
-        frames.add_view(view(sequence, view_index, ViewKind::Gaze), Hold::default(), 0);
+        frames.add_view(view(sequence, view_index, ViewKind::Roi), Hold::default(), 0);
     }
     // A record that comes before the direct pass leaves its region held.
     let newer = stamp(4).order();
