@@ -253,6 +253,13 @@ codes! {
     }
 }
 
+impl TrackState {
+    /// Whether a track of this state is a neighbour that is there: neither tentative nor lost.
+    pub const fn is_present(self) -> bool {
+        matches!(self, Self::Confirmed | Self::Coasting | Self::Measured)
+    }
+}
+
 codes! {
     /// What a frame's measurement of a neighbour was made from.
     MeasuredBy, "measurement source" {

@@ -73,15 +73,6 @@ pub enum NotOfNow {
     },
 }
 
-/// Whether a report continues the ones before it.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Continuity {
-    /// It is the first, or the first after a silence: what was heard before tells nothing of its order.
-    Anew,
-    /// It follows earlier ones.
-    Continued,
-}
-
 /// What is remembered of one observer's reports.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Freshness {
@@ -129,7 +120,7 @@ impl Freshness {
         sent: SendTime,
         newest_utc_ns: Option<i64>,
         arrival: &ArrivalTime,
-    ) -> Result<Continuity, NotOfNow> {
+    ) -> Result<(), NotOfNow> {
         let is_anew = self.begins_anew(arrival);
         if is_anew {
             self.way = OneWay::default();
@@ -138,7 +129,7 @@ impl Freshness {
         self.check(sent, newest_utc_ns, arrival)?;
         self.way.add(sent.utc_ns, arrival.monotonic_ns);
         self.last_passed_ns = Some(arrival.monotonic_ns);
-        Ok(if is_anew { Continuity::Anew } else { Continuity::Continued })
+        Ok(())
     }
 
     fn check(

@@ -9,7 +9,7 @@ use flockeye_contract::wire::{FrameReport, MAX_TARGETS, Sighting, is_name, short
 use flockeye_identity::Untrusted;
 
 use crate::clock::ClockEstimate;
-use crate::freshness::{ArrivalTime, Continuity, Freshness, SendTime};
+use crate::freshness::{ArrivalTime, Freshness, SendTime};
 use crate::waiting::Waiting;
 
 mod refusal;
@@ -254,11 +254,7 @@ impl PeerState {
             Delivery::Published if self.must_answer(&arrival.time) => {
                 return Err(self.unanswered(arrival.at));
             }
-            Delivery::Published => {
-                if self.freshness.pass(sent, newest, &arrival.time)? == Continuity::Anew {
-                    self.newest_frame_utc_ns = None;
-                }
-            }
+            Delivery::Published => self.freshness.pass(sent, newest, &arrival.time)?,
             Delivery::LastValue if self.must_answer(&arrival.time) => {
                 self.waiting = Some(Waiting::default());
                 self.freshness.begin(sent, &arrival.time);

@@ -15,7 +15,10 @@ use std::{
 
 use flockeye_contract::{
     MeasuredBy, TrackState,
-    wire::{FRAME_SCHEMA, FrameReport, Sighting, TargetReport, alive_key, frame_key},
+    wire::{
+        FRAME_SCHEMA, FrameReport, MAX_FRAME_REPORT_BYTES, Sighting, TargetReport, alive_key,
+        frame_key,
+    },
 };
 use flockeye_network::{
     LatestSighting, Listener, Network, NetworkError, NetworkMode, NetworkParameters,
@@ -239,7 +242,7 @@ fn hostile_messages_are_counted_and_survived() {
         let key = |observer| frame_key(SWARM, observer);
         let bad = [
             (key("wren"), b"\xff\xfe{".to_vec()),
-            (key("wren"), vec![b' '; 2_000]),
+            (key("wren"), vec![b' '; MAX_FRAME_REPORT_BYTES + 1]),
             (key("wren"), vec![b'['; 50_000]),
             (key("wren"), Vec::new()),
             (key("wren"), other_schema.to_json().unwrap()),

@@ -38,8 +38,8 @@ impl Core {
 fn is_lost(state: u32) -> Option<bool> {
     match TrackState::try_from(state) {
         Ok(TrackState::Lost) => Some(true),
-        Ok(TrackState::Confirmed | TrackState::Coasting | TrackState::Measured) => Some(false),
-        Ok(TrackState::Tentative) | Err(_) => None,
+        Ok(state) if state.is_present() => Some(false),
+        _ => None,
     }
 }
 
@@ -59,7 +59,6 @@ pub(crate) fn sample_of(state: &OdometryState, generation: u32) -> OdometrySampl
 
 #[cfg(test)]
 mod tests {
-    use bytemuck::Zeroable;
     use flockeye_autopilot::{OdometryAt, OdometryFrame};
     use flockeye_contract::{Odometries, Topic};
     use nalgebra::{Isometry3, Matrix6, Vector3};
@@ -79,7 +78,7 @@ mod tests {
         let mut core = Core::default();
         let stamp = |sequence| FrameStamp { sequence, ..FrameStamp::default() };
         let state = TrackState::Confirmed.code();
-        let tracks = [Track { name: "kite".into(), state, ..Track::zeroed() }];
+        let tracks = [Track { name: "kite".into(), state, ..Track::default() }];
         let sent = core.on_tracks(&stamp(7), 70, &tracks);
         assert_eq!((sent.len(), sent[0].exposure_monotonic_ns), (1, 70));
         assert!(core.on_tracks(&stamp(6), 60, &tracks).is_empty());

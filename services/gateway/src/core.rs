@@ -171,7 +171,7 @@ mod tests {
             core.on_odometry(&OdometrySample {
                 odom_from_observer: Pose { position: [x, 0.0, 0.0], ..Pose::default() },
                 at_ns: exposure_ns + after_ms * 1_000_000,
-                ..bytemuck::Zeroable::zeroed()
+                ..OdometrySample::default()
             });
         }
         let due = take(&mut core, 0, TrackState::Confirmed).unwrap();

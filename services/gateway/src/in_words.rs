@@ -4,7 +4,7 @@ use std::time::Instant;
 
 use flockeye_network::Peers;
 
-/// Who is there, what they see, and whose messages were refused.
+/// A text of who is there, what they see, and whose messages were refused.
 pub(crate) fn in_words(peers: &Peers, own_name: &str, left_out: &[String]) -> String {
     let now = Instant::now();
     let others = peers.observers.iter().filter(|(name, _)| *name != own_name);

@@ -19,7 +19,7 @@ const DETAIL_NS: i64 = 500_000_000;
 const LISTEN_NS: i64 = 10_000_000;
 /// How often the swarm's poses are published, nanoseconds.
 const SWARM_NS: i64 = 100_000_000;
-/// The swarm's poses take at most one part in so many of the time.
+/// The swarm's poses take at most a tenth of the time.
 const SWARM_PAUSE: i64 = 10;
 
 /// Takes tracks; gives reports to the swarm, and the pipeline what peers report.

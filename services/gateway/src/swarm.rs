@@ -35,9 +35,7 @@ impl Swarm {
 
     /// A peer sees somebody.
     pub(crate) fn hears(&mut self, report: &PeerReport) {
-        if report.observer != self.view.own() {
-            self.view.hear(report);
-        }
+        self.view.hear(report);
     }
 
     /// Where all are at `at_ns`, CLOCK_MONOTONIC.
@@ -161,12 +159,5 @@ mod tests {
         );
         // A tilt of the observer moves it sideways as its target sees it.
         assert!(sighting.inverse_covariance[7] > sighting.covariance[7]);
-    }
-
-    #[test]
-    fn a_drone_does_not_hear_itself() {
-        let mut swarm = Swarm::new("own", UnitQuaternion::identity());
-        swarm.hears(&heard("own", "kite", [1.0, 0.0, 0.0]));
-        assert!(swarm.poses(NOW_NS).is_empty());
     }
 }

@@ -20,7 +20,8 @@ impl Core {
         tracks: &[Track],
     ) -> Vec<NeighbourPose> {
         let newest = self.newest.tracks(stamp, tracks);
-        let published = newest.filter(|track| is_published(track.state));
+        let published = newest
+            .filter(|track| TrackState::try_from(track.state).is_ok_and(TrackState::is_present));
         published
             .map(|track| NeighbourPose {
                 target: track.name.to_string(),
@@ -57,28 +58,24 @@ pub(crate) fn odometry_of(sighting: &PeerSighting, stamp_utc_ns: i64) -> Option<
     })
 }
 
-/// Whether tracks of this state are published: not those that may be nobody, and not lost ones.
-fn is_published(state: u32) -> bool {
-    let state = TrackState::try_from(state);
-    matches!(state, Ok(TrackState::Confirmed | TrackState::Coasting | TrackState::Measured))
-}
-
 #[cfg(test)]
 mod tests {
-    use bytemuck::Zeroable;
     use flockeye_contract::Pose;
 
     use super::*;
 
     fn track(state: TrackState) -> Track {
         let observer_from_target = Pose { position: [1.0, 2.0, 3.0], ..Pose::default() };
-        Track { name: "kite".into(), observer_from_target, state: state.code(), ..Track::zeroed() }
+        Track { name: "kite".into(), observer_from_target, state: state.code(), ..Track::default() }
     }
 
     #[test]
     fn tracks_that_may_be_nobody_and_lost_ones_are_left_out() {
-        let published = TrackState::ALL.iter().filter(|state| is_published(state.code()));
-        let published: Vec<_> = published.copied().collect();
+        let is_published = |state: &TrackState| {
+            let track = track(*state);
+            !Core::default().on_tracks(&FrameStamp::default(), 0, &[track]).is_empty()
+        };
+        let published: Vec<_> = TrackState::ALL.iter().copied().filter(is_published).collect();
         assert_eq!(published, [TrackState::Confirmed, TrackState::Coasting, TrackState::Measured]);
     }
 
@@ -106,7 +103,7 @@ mod tests {
             state: TrackState::Confirmed.code(),
             observer_from_target: Pose { position: [3.0, 0.0, 0.0], ..Pose::default() },
             linear_velocity: [0.5, 0.0, 0.0],
-            ..PeerSighting::zeroed()
+            ..PeerSighting::default()
         };
         let found = odometry_of(&own, 900);
         let found = found.map(|seen| (seen.peer, seen.pose.stamp_utc_ns, seen.pose.position));

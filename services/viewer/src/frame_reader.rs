@@ -101,10 +101,7 @@ impl<'p> FrameReader<'p> {
 
 /// Whether a track is worth a close-up.
 pub fn is_shown_closely(track: &&Track) -> bool {
-    matches!(
-        TrackState::try_from(track.state),
-        Ok(TrackState::Confirmed | TrackState::Coasting | TrackState::Measured)
-    )
+    TrackState::try_from(track.state).is_ok_and(TrackState::is_present)
 }
 
 /// What makes pictures of frames.

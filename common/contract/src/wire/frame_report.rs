@@ -181,20 +181,13 @@ pub struct Sighting {
     pub target: TargetReport,
 }
 
-impl Sighting {
-    /// When the report was handed to the network, by the observer's clock, nanoseconds since 1970.
-    pub fn sent_utc_ns(&self) -> i64 {
-        sent_utc_ns(self.stamp_utc_ns, self.latency_ms)
-    }
-}
-
 impl FrameReport {
     /// When the report was handed to the network, by the observer's clock, nanoseconds since 1970.
     pub fn sent_utc_ns(&self) -> i64 {
-        sent_utc_ns(self.stamp_utc_ns, self.latency_ms)
+        self.stamp_utc_ns.saturating_add((self.latency_ms * 1e6) as i64)
     }
 
-    /// What it says of each target.
+    /// One sighting for each target.
     pub fn sightings(self) -> impl Iterator<Item = Sighting> {
         let Self { schema, observer, frame, epoch, stamp_utc_ns, clock_synchronised, .. } = self;
         let (stream_s, latency_ms) = (self.stream_s, self.latency_ms);
@@ -346,10 +339,6 @@ impl TargetReport {
         }
         Ok(())
     }
-}
-
-fn sent_utc_ns(stamp_utc_ns: i64, latency_ms: f64) -> i64 {
-    stamp_utc_ns.saturating_add((latency_ms * 1e6) as i64)
 }
 
 fn check_name(name: &str) -> Result<(), WireError> {
