@@ -24,7 +24,7 @@ pub struct AutopilotParameters {
     pub rates: Rates,
     /// A neighbour that was last seen longer ago is left out, milliseconds.
     pub max_age_ms: u32,
-    /// Nearer and farther neighbours are no obstacles, metres: the range that is told as the sensor's.
+    /// Nearer and farther neighbours are no obstacles, metres: the range that is sent as the sensor's.
     pub obstacle_range_m: [f64; 2],
 }
 

@@ -11,6 +11,9 @@ use crate::clock;
 use crate::ports::{OpenError, Ports, ReceiveError, Subscriber};
 use flockeye_config::{Flow, Pipeline};
 
+/// Time after which a source that may not send asks again, nanoseconds.
+const RETRY_NS: i64 = 100_000_000;
+
 /// The source's side of the flow.
 pub struct Credits {
     /// Plans are the credits; `None` in the flow `latest`.
@@ -63,6 +66,11 @@ impl Credits {
             self.state = State::Open;
         }
         Ok(self.state == State::Open)
+    }
+
+    /// When a source that may not send asks again, CLOCK_MONOTONIC, nanoseconds.
+    pub fn retry_ns() -> i64 {
+        clock::monotonic_ns() + RETRY_NS
     }
 
     /// A frame was sent.

@@ -8,6 +8,7 @@ use flockeye_contract::{Health, StageState, Text};
 use flockeye_geometry::statistics::{median, quantile};
 
 use crate::clock;
+use crate::logs::Throttle;
 
 /// What a stage counts. Ports and the stage itself share one.
 #[derive(Debug, Default)]
@@ -20,6 +21,27 @@ pub struct Counters {
     latencies_ns: RefCell<Vec<i64>>,
     state: Cell<Option<StageState>>,
     detail: RefCell<String>,
+}
+
+/// The absence of what a stage is linked with, such as a router.
+#[derive(Debug, Default)]
+pub struct Absence {
+    since_ns: Option<i64>,
+}
+
+/// Absence after which a stage is degraded, nanoseconds.
+const MISSING_NS: i64 = 5_000_000_000;
+
+impl Absence {
+    /// The state to report at `now_ns`: `degraded` after five seconds of absence.
+    pub fn state(&mut self, is_there: bool, now_ns: i64) -> Option<StageState> {
+        if is_there {
+            self.since_ns = None;
+            return None;
+        }
+        let since_ns = *self.since_ns.get_or_insert(now_ns);
+        (now_ns - since_ns > MISSING_NS).then_some(StageState::Degraded)
+    }
 }
 
 /// Latencies kept between two reports; further ones are not sampled.
@@ -62,6 +84,21 @@ impl Counters {
     /// What the stage works with, in words.
     pub fn set_detail(&self, detail: impl Into<String>) {
         *self.detail.borrow_mut() = detail.into();
+    }
+
+    /// Counts a message to something outside the pipeline as published or failed. `failures` limits
+    /// the warning `what`.
+    pub fn note_sent<E: std::fmt::Display>(
+        &self,
+        sent: Result<(), E>,
+        failures: &mut Throttle,
+        what: &str,
+    ) {
+        let Err(error) = sent else { return self.add_published(1) };
+        self.add_failed(1);
+        if let Some(more_since) = failures.admit() {
+            tracing::warn!(more_since, "{what}: {error}");
+        }
     }
 
     /// Overrides the state that the loop reports, for example `degraded` while a camera is away.
@@ -124,6 +161,24 @@ pub type SharedCounters = Rc<Counters>;
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_link_that_is_missing_for_five_seconds_degrades_its_stage() {
+        let mut absence = Absence::default();
+        assert_eq!(absence.state(false, 7), None);
+        assert_eq!(absence.state(false, 7 + MISSING_NS), None);
+        assert_eq!(absence.state(false, 8 + MISSING_NS), Some(StageState::Degraded));
+        assert_eq!(absence.state(true, 9 + MISSING_NS), None);
+        assert_eq!(absence.state(false, 10 + MISSING_NS), None, "it counts anew");
+    }
+
+    #[test]
+    fn what_is_sent_is_counted_and_what_fails_too() {
+        let (counters, mut failures) = (Counters::default(), Throttle::default());
+        counters.note_sent(Ok::<(), &str>(()), &mut failures, "a message is not sent");
+        counters.note_sent(Err("no link"), &mut failures, "a message is not sent");
+        assert_eq!((counters.published.get(), counters.failed.get()), (1, 1));
+    }
 
     #[test]
     fn a_report_says_what_was_counted() {

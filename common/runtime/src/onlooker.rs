@@ -36,7 +36,7 @@ pub enum JoinError {
 }
 
 /// Joins a running pipeline, whose launcher has written its files. Returns ports to receive its
-/// messages, and its resolved configuration.
+/// messages, and its resolved configuration. It sets iceoryx2's log level for the whole process.
 ///
 /// # Errors
 /// [`JoinError`].

@@ -1,4 +1,5 @@
-//! What a run is judged by. `flockeye up` writes these tables, `flockeye-lab` reads them.
+//! CSV tables by which runs are judged, and how often the sphere is searched. `flockeye up` writes the tables;
+//! `flockeye-lab` reads them, and capture reads those of inertial sensors.
 //!
 //! | module | what it holds |
 //! | --- | --- |

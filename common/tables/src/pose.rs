@@ -146,7 +146,7 @@ impl WrittenRow for PoseRow {
 
 impl Serialize for PoseRow {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        let mut row = serializer.serialize_struct("PoseRow", 92)?;
+        let mut row = serializer.serialize_struct("PoseRow", Self::names().len())?;
         row.serialize_field("frame", &self.frame)?;
         row.serialize_field("stamp_s", &self.stamp_s)?;
         row.serialize_field("target", &self.target)?;
@@ -212,7 +212,7 @@ impl TableRow for PoseRow {
             "tentative, confirmed, coasting, lost or measured",
         )?;
         let measured_by = match cells.text("measured_by") {
-            // WrittenRow without it: the state says whether something was measured.
+            // A file without this column: the state shows whether something was measured.
             "" if matches!(state, TrackState::Coasting | TrackState::Lost) => MeasuredBy::Nothing,
             "" => MeasuredBy::Decoded,
             _ => cells.code(MeasuredBy::ALL, "measured_by", "nothing, decoded or aligned")?,

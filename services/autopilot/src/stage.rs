@@ -5,8 +5,8 @@ use flockeye_autopilot::{
     Autopilot as Line, AutopilotError, AutopilotParameters, AutopilotStatus, Rates,
 };
 use flockeye_config::{Autopilot, Flow};
-use flockeye_contract::{Odometries, StageState, Tracks};
-use flockeye_runtime::health::SharedCounters;
+use flockeye_contract::{Odometries, Tracks};
+use flockeye_runtime::health::{Absence, SharedCounters};
 use flockeye_runtime::logs::Throttle;
 use flockeye_runtime::ports::{Ports, Publisher, Subscriber};
 use flockeye_runtime::{Context, Stage, Step, clock};
@@ -18,8 +18,6 @@ use crate::core::{Core, sample_of};
 const LOOK_NS: i64 = 5_000_000;
 /// How often the line's state is reported, nanoseconds.
 const DETAIL_NS: i64 = 500_000_000;
-/// An autopilot that is silent for longer is reported as missing, nanoseconds.
-const MISSING_NS: i64 = 5_000_000_000;
 
 /// Takes tracks; gives the autopilot its neighbours, and the pipeline the drone's odometry.
 pub(crate) struct AutopilotStage {
@@ -34,7 +32,7 @@ pub(crate) struct AutopilotStage {
     failures: Throttle,
     detail_ns: i64,
     /// Since when the autopilot is not heard.
-    missing_ns: Option<i64>,
+    absence: Absence,
 }
 
 impl Stage for AutopilotStage {
@@ -55,7 +53,7 @@ impl Stage for AutopilotStage {
             counters: context.counters.clone(),
             failures: Throttle::default(),
             detail_ns: 0,
-            missing_ns: None,
+            absence: Absence::default(),
         })
     }
 
@@ -82,15 +80,8 @@ impl Stage for AutopilotStage {
 impl AutopilotStage {
     /// Counts a neighbour's state that the autopilot gets, or does not.
     fn note(&mut self, sent: Result<(), AutopilotError>) {
-        match sent {
-            Ok(()) => self.counters.add_published(1),
-            Err(error) => {
-                self.counters.add_failed(1);
-                if let Some(more_since) = self.failures.admit() {
-                    tracing::warn!(more_since, "a neighbour is not sent to the autopilot: {error}");
-                }
-            }
-        }
+        let what = "a neighbour is not sent to the autopilot";
+        self.counters.note_sent(sent, &mut self.failures, what);
     }
 
     /// Reports whether the autopilot is there.
@@ -102,12 +93,7 @@ impl AutopilotStage {
             (false, false) => "not open",
         };
         self.counters.set_detail(format!("{}: {what}", self.link));
-        if is_heard {
-            self.missing_ns = None;
-            self.counters.set_state(None);
-        } else if now_ns - *self.missing_ns.get_or_insert(now_ns) > MISSING_NS {
-            self.counters.set_state(Some(StageState::Degraded));
-        }
+        self.counters.set_state(self.absence.state(is_heard, now_ns));
     }
 }
 

@@ -1,12 +1,13 @@
 //! When coded frames came in.
 
 use std::collections::VecDeque;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 
+use flockeye_runtime::lock::lock;
 use gstreamer as gst;
 use gstreamer::prelude::*;
 
-use crate::clock::monotonic_ns;
+use flockeye_runtime::clock::monotonic_ns;
 
 /// When the camera's coded frames came in, by their time stamps.
 ///
@@ -38,7 +39,7 @@ impl Arrivals {
     }
 
     fn enter(&self, pts: gst::ClockTime, arrival_ns: i64) {
-        let mut entries = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut entries = lock(&self.0);
         // A frame may come in pieces; it is here when its last piece is.
         entries.retain(|&(known, _)| known != pts);
         if entries.len() >= Self::KEPT {
@@ -48,7 +49,7 @@ impl Arrivals {
     }
 
     pub(crate) fn find(&self, pts: gst::ClockTime) -> Option<i64> {
-        let entries = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let entries = lock(&self.0);
         entries.iter().find(|&&(known, _)| known == pts).map(|&(_, arrival_ns)| arrival_ns)
     }
 }

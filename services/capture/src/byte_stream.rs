@@ -98,7 +98,7 @@ impl ByteStream {
     }
 }
 
-/// Takes so many bytes from the beginning.
+/// Takes `count` bytes from the beginning.
 fn take<'b>(rest: &mut &'b [u8], count: usize) -> Option<&'b [u8]> {
     let (taken, left) = rest.split_at_checked(count)?;
     *rest = left;

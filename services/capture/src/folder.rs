@@ -5,12 +5,12 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use crate::CaptureError;
-use crate::clock::monotonic_ns;
 use crate::file;
 use crate::input::Input;
 use crate::parameters::{Paced, SourceParameters};
 use crate::picture::{Picture, PictureStamp};
 use crate::playback::{Playback, PlaybackEvent};
+use flockeye_runtime::clock::monotonic_ns;
 
 /// What a folder gives next.
 #[derive(Debug)]

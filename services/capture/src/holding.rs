@@ -7,15 +7,16 @@
 //! up.
 
 use std::collections::VecDeque;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
+use flockeye_runtime::lock::lock;
 use gstreamer as gst;
 use gstreamer::prelude::*;
 
 use crate::arrivals::Arrivals;
-use crate::clock::monotonic_ns;
 use crate::decoder;
+use flockeye_runtime::clock::monotonic_ns;
 
 /// Pictures over which frames inside are counted: what is inside at each of them is held back. That
 /// is a second at 30 pictures a second.
@@ -62,19 +63,19 @@ impl DecoderWatch {
         let pads = (element.static_pad("sink"), element.static_pad("src"));
         let (true, (Some(sink), Some(src))) = (decoder::is_decoder(element), pads) else { return };
         let count = Arc::new(Mutex::new(FrameCount::default()));
-        locked(&self.counts).push(Arc::clone(&count));
+        lock(&self.counts).push(Arc::clone(&count));
         let (watch, entering) = (Arc::clone(self), Arc::clone(&count));
         sink.add_probe(gst::PadProbeType::BUFFER, move |_, info| {
             if let Some(pts) = info.buffer().and_then(|buffer| buffer.pts()) {
                 let arrival_ns = watch.arrivals.find(pts);
                 let waited_ns = arrival_ns.map(|arrival_ns| monotonic_ns() - arrival_ns);
-                locked(&entering).enter(pts, waited_ns);
+                lock(&entering).enter(pts, waited_ns);
             }
             gst::PadProbeReturn::Ok
         });
         src.add_probe(gst::PadProbeType::BUFFER, move |_, info| {
             if let Some(pts) = info.buffer().and_then(|buffer| buffer.pts()) {
-                locked(&count).leave(pts, monotonic_ns());
+                lock(&count).leave(pts, monotonic_ns());
             }
             gst::PadProbeReturn::Ok
         });
@@ -82,13 +83,8 @@ impl DecoderWatch {
 
     /// What was noticed since the last call.
     pub(crate) fn take(&self) -> Option<DecoderFault> {
-        locked(&self.counts).iter().find_map(|count| locked(count).noticed.pop_front())
+        lock(&self.counts).iter().find_map(|count| lock(count).noticed.pop_front())
     }
-}
-
-/// What a lock protects. Counts are right after each step, also after one that panicked.
-fn locked<T>(lock: &Mutex<T>) -> MutexGuard<'_, T> {
-    lock.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// What is counted.

@@ -3,14 +3,15 @@
 
 use std::path::Path;
 
-use crate::Picture;
-use crate::recorded_flight::FlightClock;
 use anyhow::Context as _;
 use flockeye_config::{InertialSource, Pipeline};
 use flockeye_contract::{FrameStamp, ImuHeader, ImuSample, Imus, MAX_IMU_SAMPLES};
 use flockeye_runtime::clock;
 use flockeye_runtime::ports::{Ports, Publisher};
 use flockeye_tables::ImuRow;
+
+use crate::Picture;
+use crate::recorded_flight::FlightClock;
 
 /// Reach of the samples beyond an exposure, seconds, besides `camera.latency_ms`: what has been
 /// measured when the picture is there.

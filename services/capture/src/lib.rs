@@ -36,7 +36,6 @@
 mod arrivals;
 mod byte_stream;
 mod census;
-mod clock;
 pub mod core;
 mod decoder;
 mod error;

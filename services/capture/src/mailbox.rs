@@ -1,5 +1,6 @@
 //! Where the decoder's thread leaves frames and the consumer takes them.
 
+use flockeye_runtime::lock::lock;
 use std::collections::VecDeque;
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
@@ -158,7 +159,7 @@ impl<T, F: Clone> Mailbox<T, F> {
 
     fn lock(&self) -> MutexGuard<'_, MailboxState<T, F>> {
         // No code that can panic runs under this lock, so what it guards is whole.
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.state)
     }
 
     fn wait<'a>(

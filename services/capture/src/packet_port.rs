@@ -15,7 +15,7 @@ pub(crate) struct PacketPort {
     port: Publisher<Packets>,
     wish: PacketWish,
     /// Readers that were informed last that there are no packets.
-    told: usize,
+    informed: usize,
     flow: Flow,
     latency_ns: i64,
     generation: u32,
@@ -38,7 +38,7 @@ impl PacketPort {
         let latency_ns = latency.map_or(0, |latency| latency.as_nanos() as i64);
         wish.set(port.readers() > 0);
         let (flow, too_large) = (pipeline.flow(), Throttle::default());
-        Ok(Self { port, wish, told: 0, flow, latency_ns, generation, too_large })
+        Ok(Self { port, wish, informed: 0, flow, latency_ns, generation, too_large })
     }
 
     /// Sends what has come.
@@ -49,16 +49,16 @@ impl PacketPort {
         let readers = self.port.readers();
         self.wish.set(readers > 0);
         if readers == 0 {
-            self.told = 0;
+            self.informed = 0;
             return Ok(());
         }
         for packet in source.take_packets() {
             self.send(&packet, epoch)?;
         }
-        if source.codec() == Some(VideoCodec::None) && self.told != readers {
+        if source.codec() == Some(VideoCodec::None) && self.informed != readers {
             let source_generation = self.generation;
             self.port.send(PacketHeader { epoch, source_generation, ..Default::default() }, &[])?;
-            self.told = readers;
+            self.informed = readers;
         }
         Ok(())
     }

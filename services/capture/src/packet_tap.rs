@@ -11,9 +11,9 @@ use gstreamer::prelude::*;
 
 use crate::arrivals::Arrivals;
 use crate::byte_stream::ByteStream;
-use crate::clock::monotonic_ns;
 use crate::decoder;
 use crate::packet::{Packet, PacketWish};
+use flockeye_runtime::clock::monotonic_ns;
 
 /// Limit for the bytes of packets that nobody has taken: beyond it the oldest are dropped.
 const MOST_BYTES: usize = 64_000_000;

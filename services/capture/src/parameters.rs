@@ -29,7 +29,7 @@ pub struct SourceParameters {
     pub looping: bool,
     /// From exposure to arrival; subtracted from the arrival of a camera's frames.
     pub latency: Duration,
-    /// A camera that is silent for so long counts as lost.
+    /// Silence after which a camera counts as lost.
     pub stall: Duration,
     /// How long to wait before a lost camera is opened again, the first time.
     pub reopen_min: Duration,

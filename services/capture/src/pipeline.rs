@@ -1,8 +1,9 @@
 //! The back part of the pipeline: from the decoder to the mailbox.
 
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
+use flockeye_runtime::lock::lock;
 use gstreamer as gst;
 use gstreamer::prelude::*;
 use gstreamer_app as gst_app;
@@ -10,7 +11,6 @@ use gstreamer_video as gst_video;
 
 use crate::arrivals::Arrivals;
 use crate::census::Census;
-use crate::clock::monotonic_ns;
 use crate::decoder::Threading;
 use crate::explain::Failure;
 use crate::holding::DecoderWatch;
@@ -20,6 +20,7 @@ use crate::packet::PacketWish;
 use crate::packet_tap::PacketTap;
 use crate::picture::LUMA_FIRST;
 use crate::{CaptureError, decoder};
+use flockeye_runtime::clock::monotonic_ns;
 
 /// A decoded frame with its times.
 #[derive(Debug)]
@@ -261,17 +262,15 @@ fn watch(pipeline: &gst::Pipeline, frames: Arc<Frames>) {
         match message.view() {
             gst::MessageView::AsyncDone(_) => frames.set_ready(),
             gst::MessageView::Error(error) => {
-                frames.fail(Failure {
-                    error: error.error(),
-                    undecodable: undecodable.lock().unwrap_or_else(PoisonError::into_inner).take(),
-                });
+                frames
+                    .fail(Failure { error: error.error(), undecodable: lock(&undecodable).take() });
             }
             gst::MessageView::Element(element) => {
                 if let Some(structure) =
                     element.structure().filter(|structure| structure.name() == "missing-plugin")
                 {
                     let name = structure.get::<String>("name").ok();
-                    *undecodable.lock().unwrap_or_else(PoisonError::into_inner) = name;
+                    *lock(&undecodable) = name;
                 }
             }
             _ => {}

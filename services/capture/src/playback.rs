@@ -9,7 +9,6 @@ use gstreamer::prelude::*;
 use gstreamer_app as gst_app;
 use gstreamer_video as gst_video;
 
-use crate::clock::monotonic_ns;
 use crate::decoder::Threading;
 use crate::explain::Failure;
 use crate::holding::{DecoderFault, DecoderWatch};
@@ -21,6 +20,7 @@ use crate::parameters::{Paced, SourceParameters};
 use crate::picture::{Picture, PictureStamp, range_of};
 use crate::pipeline::{DecodedFrame, Frames, PipelineParts, build};
 use crate::{CaptureError, decoder};
+use flockeye_runtime::clock::monotonic_ns;
 
 /// What comes out of a pipeline.
 #[derive(Debug)]
@@ -47,7 +47,7 @@ enum Timing {
     Stream,
     /// The stream's time stamps, played on the machine's clock; see [`crate::pipeline`].
     Paced,
-    /// A camera whose stamps cannot be believed: when its data came in.
+    /// A camera whose stamps are not plausible: when its data came in.
     Arrival,
     /// A camera whose driver stamps each frame on the machine's clock.
     Driver,
@@ -85,9 +85,9 @@ const AHEAD: u32 = 4;
 /// A file that has not given its first frame by then never will.
 const OPENING: Duration = Duration::from_secs(10);
 
-/// A frame's stamp by a camera's driver is believed when it lies between its arrival less this...
+/// A frame's stamp by a camera's driver is plausible from its arrival less this...
 const OLDEST_STAMP_NS: i64 = 1_000_000_000;
-/// ...and its arrival plus this.
+/// ...to its arrival plus this.
 const NEWEST_STAMP_NS: i64 = 5_000_000;
 
 impl Playback {

@@ -63,7 +63,7 @@ impl Stage for CaptureStage {
     fn step(&mut self) -> anyhow::Result<Step> {
         self.packets.attend(&self.source, self.core.epoch())?;
         if !self.credits.may_send()? {
-            return Ok(Step::WaitUntil(clock::monotonic_ns() + 100_000_000));
+            return Ok(Step::WaitUntil(Credits::retry_ns()));
         }
         if self.core.has_ended() {
             return Ok(Step::Finished);

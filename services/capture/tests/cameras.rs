@@ -5,8 +5,9 @@ mod common;
 
 use std::time::Duration;
 
-use common::{now_ns, parameters, watched};
+use common::{parameters, watched};
 use flockeye_capture::{CaptureError, Event, Paced, Source, SourceParameters, SourceSpec};
+use flockeye_runtime::clock::monotonic_ns;
 
 const TIMEOUT: Duration = Duration::from_secs(5);
 const CAPS: &str = "video/x-raw,format=NV12,width=320,height=240,framerate=30/1";
@@ -101,13 +102,16 @@ fn exposure_is_arrival_less_the_latency() {
     watched(|| {
         let latency = Duration::from_millis(250);
         let params = SourceParameters { latency, ..quick(Paced::RealTime) };
-        let before_ns = now_ns();
+        let before_ns = monotonic_ns();
         let mut source = camera(&format!("videotestsrc is-live=true ! {CAPS} ! jpegenc"), params);
         let mut last = None;
         while last.is_none_or(|(sequence, _)| sequence < 10) {
             if let Event::Frame(picture) = source.next(TIMEOUT).unwrap() {
                 let arrival_ns = picture.exposure_monotonic_ns() + latency.as_nanos() as i64;
-                assert!((before_ns..=now_ns()).contains(&arrival_ns), "{before_ns} {arrival_ns}");
+                assert!(
+                    (before_ns..=monotonic_ns()).contains(&arrival_ns),
+                    "{before_ns} {arrival_ns}"
+                );
                 if let Some((sequence, previous_ns)) = last {
                     assert!(picture.sequence() > sequence && arrival_ns > previous_ns);
                 }

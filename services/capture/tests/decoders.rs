@@ -6,8 +6,9 @@ mod common;
 
 use std::time::Duration;
 
-use common::{now_ns, parameters, watched};
+use common::{parameters, watched};
 use flockeye_capture::{Event, Paced, Source, SourceParameters, SourceSpec};
+use flockeye_runtime::clock::monotonic_ns;
 
 const CAPS: &str = "video/x-raw,format=I420,width=320,height=240,framerate=30/1";
 /// A second of start-up, two that are counted, and some to spare.
@@ -38,7 +39,7 @@ fn watch(description: &str, decoder_threads: u32, until: impl Fn(&Watched) -> bo
     };
     while ages_ns.len() < FRAMES && !until(&watched) {
         match source.next(Duration::from_secs(5)).unwrap() {
-            Event::Frame(picture) => ages_ns.push(now_ns() - picture.exposure_monotonic_ns()),
+            Event::Frame(picture) => ages_ns.push(monotonic_ns() - picture.exposure_monotonic_ns()),
             Event::Late { what } => watched.late.push(what),
             Event::Lost { reason, .. } => watched.lost.push(reason),
             Event::Idle => {}

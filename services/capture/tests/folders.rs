@@ -5,11 +5,12 @@ mod common;
 
 use std::time::Duration;
 
-use common::{Scratch, now_ns, open, packed, parameters, play, raw_luma, video, watched};
+use common::{Scratch, open, packed, parameters, play, raw_luma, video, watched};
 use flockeye_capture::{
     CaptureError, EndReason, Event, Paced, Source, SourceParameters, SourceSpec,
 };
 use flockeye_contract::Range;
+use flockeye_runtime::clock::monotonic_ns;
 
 const TIMEOUT: Duration = Duration::from_secs(10);
 
@@ -109,9 +110,11 @@ fn real_time_shows_images_at_their_rate() {
         let mut events = 0;
         let end = loop {
             match source.next(Duration::from_millis(2)).unwrap() {
-                Event::Frame(picture) => {
-                    shown.push((picture.sequence(), picture.exposure_monotonic_ns(), now_ns()))
-                }
+                Event::Frame(picture) => shown.push((
+                    picture.sequence(),
+                    picture.exposure_monotonic_ns(),
+                    monotonic_ns(),
+                )),
                 Event::Idle => idle += 1,
                 Event::Skipped { .. } => {}
                 Event::End(reason) => break reason,

@@ -22,13 +22,13 @@ const LOOK: Duration = Duration::from_millis(100);
 /// Time between two of our heartbeats, without which routers send nothing.
 const HEARTBEAT_PERIOD: Duration = Duration::from_secs(1);
 
-/// Without samples for so long, they are asked for again.
+/// Time without samples after which they are asked for again.
 const ASK_PERIOD: Duration = Duration::from_secs(2);
 
-/// Between two attempts to open a line that is not there.
+/// Time between two attempts to open a line that is not there.
 const REOPEN_PERIOD: Duration = Duration::from_secs(1);
 
-/// Samples are asked for so often.
+/// Rate at which samples are asked for.
 const SAMPLES_HZ: f64 = 200.0;
 
 /// Our component: that of an onboard computer.

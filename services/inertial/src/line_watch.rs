@@ -1,4 +1,4 @@
-//! Whether samples come over the line to the autopilot: pure.
+//! Whether samples come over the line to the autopilot. It has no port and no clock.
 
 use crate::message::MessageKind;
 

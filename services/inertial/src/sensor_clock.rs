@@ -4,12 +4,12 @@
 //! and sensor time over the last seconds is the offset of the clocks, plus the shortest way. What
 //! that way is, and what the sensor's own filter adds, is in `inertial.time_offset_ms`.
 
-/// Over so long the least difference is taken, in two halves, nanoseconds: clocks of autopilots
-/// drift by some 50 us in a second, so not longer; serial lines have a message without delay in
-/// much less.
+/// Half of the time over which the least difference is taken, nanoseconds. Clocks of autopilots
+/// drift by some 50 us in a second, so it is not longer. Serial lines have a message without delay
+/// in much less.
 const HALF_WINDOW_NS: i64 = 2_500_000_000;
 
-/// A sensor time that goes back by more, or a difference that leaps by more, is another clock,
+/// Step of the sensor's time back, or of the difference either way, that shows another clock,
 /// nanoseconds.
 const LEAP_NS: i64 = 1_000_000_000;
 

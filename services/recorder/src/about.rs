@@ -1,7 +1,7 @@
 //! The facts about a pipeline that stand in its recording.
 
 use anyhow::Context as _;
-use flockeye_config::{Coding, Flow, Resolved};
+use flockeye_config::{Coding, Flow, RESOLVED, Resolved};
 use flockeye_contract::CONTRACT_VERSION;
 use flockeye_recording::About;
 use flockeye_runtime::clock;
@@ -22,12 +22,13 @@ pub(crate) fn beginning(instance: &Instance, resolved: &Resolved) -> anyhow::Res
     // What `auto` is depends on files that may not be there when the recording is replayed.
     let coding = if pipeline.is_coded_as_video() { Coding::Video } else { Coding::Images };
     parsed["fusion"]["coding"] = serde_json::to_value(coding)?;
-    let bodies = serde_json::to_vec(&parsed["resolved"]["bodies"])?;
+    let bodies = serde_json::to_vec(&parsed[RESOLVED]["bodies"])?;
     let utc_from_monotonic_ns = clock::utc_ns() - clock::monotonic_ns();
-    let (flow, utc_from_exposure_ns) = match pipeline.flow() {
-        Flow::Latest => ("latest", utc_from_monotonic_ns),
+    let flow = pipeline.flow();
+    let utc_from_exposure_ns = match flow {
+        Flow::Latest => utc_from_monotonic_ns,
         // Exposure times are the stream's: it begins now.
-        Flow::Lossless => ("lossless", clock::utc_ns()),
+        Flow::Lossless => clock::utc_ns(),
     };
     let facts = [
         ("format", "1"),
@@ -36,7 +37,7 @@ pub(crate) fn beginning(instance: &Instance, resolved: &Resolved) -> anyhow::Res
         ("instance", instance.name()),
         ("observer", &pipeline.observer.name),
         ("swarm", &pipeline.observer.swarm),
-        ("flow", flow),
+        ("flow", flow.name()),
         ("utc_from_exposure_ns", &utc_from_exposure_ns.to_string()),
     ];
     let json_type = "application/json".to_owned();

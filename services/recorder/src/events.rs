@@ -1,4 +1,4 @@
-//! What a message means for the recording: pure.
+//! What a message means for the recording. It has no port, no clock and no file.
 
 use flockeye_contract::{PacketHeader, TOPICS, TopicId, Track, TrackState};
 

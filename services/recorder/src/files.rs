@@ -21,7 +21,7 @@ pub(crate) struct Files {
 }
 
 impl Files {
-    /// Files beginning with `first`, which is split at so many bytes. None is created yet.
+    /// Files beginning with `first`, split at `split_bytes` bytes each. None is created yet.
     pub(crate) fn new(first: &Path, about: About, split_bytes: Option<u64>) -> Self {
         let (writer, count, messages, bytes) = (None, 0, 0, 0);
         Self { first: first.to_owned(), about, split_bytes, writer, count, messages, bytes }

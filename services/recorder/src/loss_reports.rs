@@ -13,6 +13,11 @@ pub(crate) struct LossReports {
 }
 
 impl LossReports {
+    /// Reports all losses again, as each file counts them.
+    pub(crate) fn begin_file(&mut self) {
+        self.reported.clear();
+    }
+
     /// The topics, by their index, of which something was lost since the last call, with all that
     /// is lost of each. The log has a warning of them.
     pub(crate) fn news(&mut self, losses: Vec<Loss>) -> Vec<(usize, Loss)> {

@@ -9,7 +9,8 @@ use flockeye_runtime::lock::lock;
 
 use crate::entry::Entry;
 
-/// Messages wait so long for others: a receiver that is woken by each takes more of a processor.
+/// Time for which messages wait for others: a receiver that each of them wakes takes more of a
+/// processor.
 const GATHER: Duration = Duration::from_millis(50);
 
 /// The sender's and the receiver's end.

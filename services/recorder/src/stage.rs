@@ -12,7 +12,6 @@ use flockeye_contract::TOPICS;
 use flockeye_runtime::memory::Budget;
 use flockeye_runtime::onlooker;
 use flockeye_runtime::recorders::Presence;
-use iceoryx2::prelude::{LogLevel, set_log_level};
 use signal_hook::consts::{SIGUSR1, SIGXFSZ};
 
 use crate::about::beginning;
@@ -40,7 +39,6 @@ pub(crate) fn record(arguments: &RecordArguments, out: &Path) -> anyhow::Result<
     signal_hook::flag::register(SIGUSR1, asked.clone()).context("cannot catch signals")?;
     // A file that may not grow further is an error of its write, and does not end the process.
     signal_hook::flag::register(SIGXFSZ, Arc::default()).context("cannot catch signals")?;
-    set_log_level(LogLevel::Fatal);
     let instance = running::choose(&arguments.running)?;
     let (ports, resolved) = onlooker::join(&instance)?;
     let mut ports = ports.polled();

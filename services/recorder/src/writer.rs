@@ -155,7 +155,7 @@ impl Writer {
             self.write(entry)?;
         }
         // Each file counts all losses.
-        self.losses = LossReports::default();
+        self.losses.begin_file();
         self.write_losses()?;
         self.files.end()?;
         tracing::info!("what came before is in {}", path.display());

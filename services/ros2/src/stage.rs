@@ -2,10 +2,10 @@
 
 use anyhow::Context as _;
 use flockeye_config::{Flow, Ros2};
-use flockeye_contract::{Peers, StageState, Tracks};
+use flockeye_contract::{Peers, Tracks};
 use flockeye_network::utc_from_monotonic;
 use flockeye_ros2::{Ros2Error, Ros2Mode, Ros2Node, Ros2Parameters};
-use flockeye_runtime::health::SharedCounters;
+use flockeye_runtime::health::{Absence, SharedCounters};
 use flockeye_runtime::logs::Throttle;
 use flockeye_runtime::ports::{Ports, Subscriber};
 use flockeye_runtime::{Context, Stage, Step, clock};
@@ -14,8 +14,6 @@ use crate::core::{Core, odometry_of};
 
 /// How often the link with the router is looked at, nanoseconds.
 const LOOK_NS: i64 = 500_000_000;
-/// A router that has not come after this time is reported as missing, nanoseconds.
-const MISSING_NS: i64 = 5_000_000_000;
 
 /// Takes tracks and peers' sightings; gives messages of ROS 2.
 pub(crate) struct Ros2Stage {
@@ -29,7 +27,7 @@ pub(crate) struct Ros2Stage {
     failures: Throttle,
     look_ns: i64,
     /// Since when no router is there.
-    missing_ns: Option<i64>,
+    absence: Absence,
 }
 
 impl Stage for Ros2Stage {
@@ -48,7 +46,7 @@ impl Stage for Ros2Stage {
             counters: context.counters.clone(),
             failures: Throttle::default(),
             look_ns: 0,
-            missing_ns: None,
+            absence: Absence::default(),
         })
     }
 
@@ -81,33 +79,20 @@ impl Stage for Ros2Stage {
 }
 
 impl Ros2Stage {
-    /// Counts a message.
     fn note(&mut self, published: Result<(), Ros2Error>) {
-        match published {
-            Ok(()) => self.counters.add_published(1),
-            Err(error) => {
-                self.counters.add_failed(1);
-                if let Some(more_since) = self.failures.admit() {
-                    tracing::warn!(more_since, "a message for ROS 2 is not published: {error}");
-                }
-            }
-        }
+        let what = "a message for ROS 2 is not published";
+        self.counters.note_sent(published, &mut self.failures, what);
     }
 
     /// Reports whether the router is there.
     fn look(&mut self, now_ns: i64) {
         self.look_ns = now_ns + LOOK_NS;
-        if self.node.is_open() {
-            self.missing_ns = None;
-            self.counters.set_state(None);
-            self.counters.set_detail(format!("linked with {}", self.routers));
-            return;
-        }
-        let since_ns = *self.missing_ns.get_or_insert(now_ns);
-        self.counters.set_detail(format!("no router at {} yet", self.routers));
-        if now_ns - since_ns > MISSING_NS {
-            self.counters.set_state(Some(StageState::Degraded));
-        }
+        let is_open = self.node.is_open();
+        self.counters.set_state(self.absence.state(is_open, now_ns));
+        self.counters.set_detail(match is_open {
+            true => format!("linked with {}", self.routers),
+            false => format!("no router at {} yet", self.routers),
+        });
     }
 }
 

@@ -2,7 +2,7 @@
 
 use std::f64::consts::TAU;
 use std::num::NonZero;
-use std::sync::{Mutex, PoisonError};
+use std::sync::Mutex;
 
 use crate::hall::Hall;
 use crate::kept_painting::KeptPainting;
@@ -10,6 +10,7 @@ use crate::optics::{blur_kernel, blur_row, blur_rows};
 use crate::parameters::WorldParameters;
 use crate::sensor::Sensor;
 use crate::sphere::SphereGrid;
+use flockeye_runtime::lock::lock;
 
 /// Blur along a row is widened towards the poles, up to this many columns.
 const WIDEST_SIGMA: f64 = 12.0;
@@ -117,7 +118,7 @@ fn for_rows<T: Send>(rows: &mut [T], width: usize, fill: impl Fn(usize, &mut [T]
     let threads = std::thread::available_parallelism().map_or(1, NonZero::get);
     let rows = Mutex::new(rows.chunks_mut(width).enumerate());
     // Nobody panics while the next row is taken, so a poisoned lock is as good as any.
-    let next = || rows.lock().unwrap_or_else(PoisonError::into_inner).next();
+    let next = || lock(&rows).next();
     std::thread::scope(|scope| {
         for _ in 0..threads {
             scope.spawn(|| {

@@ -118,8 +118,8 @@ impl Core {
             Delivery::Frame(drawn) => *waiting = Some(drawn),
             Delivery::NotYet => {}
             Delivery::Over { skipped } => {
-                let is_first = !std::mem::replace(is_over, true);
-                return if is_first { skipped } else { 0 };
+                *is_over = true;
+                return skipped;
             }
         }
         0

@@ -1,7 +1,8 @@
 //! A synthetic world in place of a spherical camera of any model: frames, and the truth about them.
 //!
-//! [`World::render`] writes the 8-bit luma plane of a frame into memory that it is given, and says
-//! where every body was. Nothing here knows of processes, clocks or files.
+//! [`World::render`] writes the 8-bit luma plane of a frame into memory that it is given, and
+//! returns where every body was. It has no port and no clock. Its one file is the painting that it
+//! keeps for the next process.
 //!
 //! ```
 //! use flockeye_dictionary::Dictionary;

@@ -25,7 +25,7 @@ pub(crate) struct TruthWriter {
 }
 
 impl TruthWriter {
-    /// For these bodies, and generation `generation` of this stage.
+    /// A writer for these bodies, in generation `generation` of this stage.
     pub(crate) fn new(resolved: &Resolved, flying: Option<&Bodies>, generation: u32) -> Self {
         Self {
             size_px: (resolved.camera.width(), resolved.camera.height()),

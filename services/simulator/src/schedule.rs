@@ -97,8 +97,7 @@ impl Schedule {
         Due { frame, skipped }
     }
 
-    /// Takes note of how long a frame took to draw; more than a period is not believed of the next
-    /// one.
+    /// Takes note of how long a frame took to draw. At most a period is expected of the next one.
     pub(crate) fn drew(&mut self, took_ns: i64) {
         self.drawing_ns = (FORGETTING * self.drawing_ns).max(took_ns as f64).min(self.period_ns);
     }

@@ -67,14 +67,15 @@ impl Stage for SimulatorStage {
 
     fn step(&mut self) -> anyhow::Result<Step> {
         if !self.credits.may_send()? {
-            return Ok(Step::WaitUntil(clock::monotonic_ns() + 100_000_000));
+            return Ok(Step::WaitUntil(Credits::retry_ns()));
         }
         match self.core.step(clock::monotonic_ns()) {
             Action::Draw(frame) => self.draw(frame)?,
             Action::Await => {
-                if let Drawer::Ahead(ahead) = &mut self.drawer {
-                    self.counters.add_dropped(self.core.on(ahead.take()?));
-                }
+                let Drawer::Ahead(ahead) = &mut self.drawer else {
+                    anyhow::bail!("a frame is awaited, and none is drawn ahead")
+                };
+                self.counters.add_dropped(self.core.on(ahead.take()?));
             }
             Action::HandOver(drawn) => self.hand_over(*drawn)?,
             Action::LeaveOut(drawn) => {
@@ -91,7 +92,9 @@ impl Stage for SimulatorStage {
 impl SimulatorStage {
     /// Draws a frame in shared memory.
     fn draw(&mut self, frame: u64) -> anyhow::Result<()> {
-        let Drawer::OnDemand(world) = &mut self.drawer else { return Ok(()) };
+        let Drawer::OnDemand(world) = &mut self.drawer else {
+            anyhow::bail!("frames are drawn ahead, and one was asked for")
+        };
         let begun_ns = clock::monotonic_ns();
         let (width, height) = self.core.size_px();
         let mut loan = self.frames.loan(width as usize * height as usize)?;

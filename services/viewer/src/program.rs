@@ -10,7 +10,6 @@ use anyhow::{Context, ensure};
 use clap::Parser;
 use flockeye_cli::running::{PipelineChoice, choose};
 use flockeye_cli::{Screen, signals};
-use iceoryx2::prelude::{LogLevel, set_log_level};
 use rustix::process::setpriority_process;
 use tungstenite::Message;
 
@@ -77,7 +76,6 @@ fn show_pipeline(
     stopping: Arc<AtomicBool>,
 ) -> anyhow::Result<()> {
     let instance = choose(&arguments.running)?;
-    set_log_level(LogLevel::Fatal);
     give_way();
     let hub = Arc::new(Hub::default());
     let explainer = Explainer::of_pipeline(instance.clone());

@@ -2,9 +2,10 @@
 
 use std::collections::BTreeSet;
 use std::mem::MaybeUninit;
-use std::sync::{Mutex, PoisonError};
+use std::sync::Mutex;
 use std::time::Duration;
 
+use crate::lock::lock;
 use flockeye_contract::Topic;
 use iceoryx2::port::notifier::Notifier;
 use iceoryx2::port::publisher::Publisher as IoxPublisher;
@@ -27,7 +28,7 @@ fn waits_for_readers(
     let given_up = Mutex::new(BTreeSet::new());
     move |full| {
         // A thread that panicked while it had the lock left the set valid.
-        let mut given_up = given_up.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut given_up = lock(&given_up);
         let Some(patience) = patience.filter(|_| !given_up.contains(&full.receiver_port_id)) else {
             return BackpressureAction::DiscardData;
         };

@@ -28,7 +28,7 @@ use crate::{CaptureError, Event};
 pub(crate) struct Flight {
     path: PathBuf,
     params: SourceParameters,
-    round: Option<EpochPlayback>,
+    playing: Option<EpochPlayback>,
     /// What comes once all damage is reported, where no epoch is played.
     then: Option<EpochEnd>,
     /// Pictures that could not be used and are to be reported.
@@ -70,14 +70,14 @@ struct EpochPlayback {
 
 impl std::fmt::Debug for EpochPlayback {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Round").field("playback", &self.playback).finish_non_exhaustive()
+        f.debug_struct("EpochPlayback").field("playback", &self.playback).finish_non_exhaustive()
     }
 }
 
 /// What is known of the pictures that were fed and have not come out.
 #[derive(Debug, Default)]
 struct Table {
-    /// By their time stamps in the decoder.
+    /// The pictures, by their time stamps in the decoder.
     pictures: BTreeMap<gst::ClockTime, PendingPicture>,
     samples: VecDeque<TapeSample>,
     damaged: VecDeque<(String, String)>,
@@ -90,7 +90,7 @@ struct PendingPicture {
     header: Option<FrameHeader>,
     /// What its time stamp lacks to its exposure.
     later_ns: i64,
-    /// The samples that belong to it reach so far beyond its exposure.
+    /// Time beyond its exposure up to which samples belong to it.
     reach_ns: i64,
     was_decoded: bool,
 }
@@ -139,7 +139,7 @@ impl Flight {
         let mut flight = Self {
             path: path.to_owned(),
             params: params.clone(),
-            round: None,
+            playing: None,
             then: None,
             damaged: VecDeque::new(),
             handed_out: 0,
@@ -170,16 +170,16 @@ impl Flight {
                 }
                 gst::PadProbeReturn::Ok
             });
-            let told = Arc::clone(&table);
+            let shared_table = Arc::clone(&table);
             let thread = std::thread::Builder::new().name("flight".to_owned());
-            let begun = thread.spawn(move || feed_epoch(tape, &feed, &told));
+            let begun = thread.spawn(move || feed_epoch(tape, &feed, &shared_table));
             feeder = Some(begun.map_err(|error| CaptureError::GStreamer(error.to_string()))?);
             Ok(())
         })?;
         let missing = || CaptureError::GStreamer("nobody feeds it".to_owned());
         let feeder = feeder.ok_or_else(missing)?;
         self.count = 0;
-        self.round = Some(EpochPlayback { playback, feeder, table });
+        self.playing = Some(EpochPlayback { playback, feeder, table });
         Ok(())
     }
 
@@ -189,7 +189,7 @@ impl Flight {
             self.skipped += 1;
             return Ok(Event::Skipped { what: format!("{}: {what}", self.path.display()), why });
         }
-        let Some(EpochPlayback { playback, table, .. }) = &mut self.round else {
+        let Some(EpochPlayback { playback, table, .. }) = &mut self.playing else {
             return match self.then.take() {
                 Some(EpochEnd::Next(tape)) => {
                     self.begin(*tape)?;
@@ -241,16 +241,16 @@ impl Flight {
                 Ok(Event::Idle)
             }
             PlaybackEvent::Over { fault } => {
-                self.end_round(fault);
+                self.end_epoch(fault);
                 self.next(timeout)
             }
         }
     }
 
     /// The pictures of an epoch are over.
-    fn end_round(&mut self, fault: Option<String>) {
+    fn end_epoch(&mut self, fault: Option<String>) {
         self.then = Some(EpochEnd::End(fault.clone()));
-        let Some(EpochPlayback { playback, feeder, table }) = self.round.take() else { return };
+        let Some(EpochPlayback { playback, feeder, table }) = self.playing.take() else { return };
         // It lets go of the thread that feeds it.
         drop(playback);
         let tape = feeder.join();
@@ -276,7 +276,7 @@ impl Flight {
 
     /// Whether its pictures come out of a decoder of video.
     pub(crate) fn decodes_video(&self) -> bool {
-        self.round.as_ref().is_some_and(|round| round.playback.decodes_video())
+        self.playing.as_ref().is_some_and(|playing| playing.playback.decodes_video())
     }
 
     /// Pictures handed out so far.
@@ -286,8 +286,8 @@ impl Flight {
 
     /// What is played, by which decoder.
     pub(crate) fn describe(&self) -> String {
-        match &self.round {
-            Some(round) => round.playback.describe(),
+        match &self.playing {
+            Some(playing) => playing.playback.describe(),
             None => self.path.display().to_string(),
         }
     }

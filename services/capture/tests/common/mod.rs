@@ -112,12 +112,6 @@ pub fn raw_luma(scratch: &Scratch, pipeline: &str, width: u32, format: &str) -> 
     bytes.chunks_exact(info.size()).map(rows).collect()
 }
 
-/// CLOCK_MONOTONIC, nanoseconds.
-pub fn now_ns() -> i64 {
-    let now = rustix::time::clock_gettime(rustix::time::ClockId::Monotonic);
-    now.tv_sec * 1_000_000_000 + now.tv_nsec
-}
-
 /// A picture's luma with its rows packed.
 pub fn packed(picture: &Picture) -> Vec<u8> {
     (0..picture.height()).flat_map(|y| picture.row(y).to_vec()).collect()
