@@ -23,7 +23,7 @@ use flockeye_contract::{DetectionHeader, FrameHeader, PixelFormat, Track, ViewHe
 use flockeye_convert::projection_of;
 use flockeye_detection::core::Core as Detection;
 use flockeye_fusion::{
-    BackgroundRunner, Configured, Event as FusionEvent, Outputs, Pixels, Record, configured,
+    BackgroundRunner, Configured, Event as FusionEvent, Outputs, Record, configured,
 };
 use flockeye_rectification::core::{Action, Core as Rectification, CutOrder, Event};
 use flockeye_rectification::cpu::CpuRectifier;
@@ -114,21 +114,12 @@ fn read(file: &str) -> Vec<Decoded> {
     frames
 }
 
-/// A view's pixels, as fusion keeps them.
-struct View(Vec<u8>);
-
-impl Pixels for View {
-    fn pixels(&self) -> &[u8] {
-        &self.0
-    }
-}
-
 /// The three cores, and what carries their messages.
 struct Cores {
     rectification: Rectification<Rc<Vec<u8>>>,
     cutter: Cutter,
     detection: Detection,
-    fusion: Configured<View>,
+    fusion: Configured<Vec<u8>>,
     background: Option<BackgroundRunner>,
     /// The time that the cores see: that of the stream.
     now_ns: i64,
@@ -202,7 +193,7 @@ impl Cores {
         assert!(found.failure.is_none());
         let answer =
             DetectionHeader { received_ns: self.now_ns, sent_ns: self.now_ns, ..found.header };
-        self.fusion.core.on(FusionEvent::View(header, View(pixels)), self.now_ns);
+        self.fusion.core.on(FusionEvent::View(header, pixels), self.now_ns);
         let record = Record { header: answer, markers: found.markers };
         self.fusion.core.on(FusionEvent::Searched(record), self.now_ns);
         self.rectification.on(Event::Answer(answer), self.now_ns);

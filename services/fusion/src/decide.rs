@@ -1,11 +1,12 @@
 //! All decisions about poses: which one of those that were tried is the body's, and whether it is of use by itself.
 //!
 //! A decision is a value. Passes collect [`Hypothesis`]es and [`CornerPose`]s, a function of this module gives the
-//! [`Decision`] about them, and the account and `flockeye explain` print it. Nothing works a decision out again.
+//! [`Decision`] about them, and the account and `flockeye explain` print it. Explain compares with the limits alone, to
+//! name the one that a refused pose missed.
 //!
 //! The limits are formulas of `acceptance.rs` in imaging, and within fusion only this module asks for them. They stay
-//! there in one file because alignment needs two of them: its search round a prediction ends at the first accepted pose,
-//! and each alignment states whether it is precise before the factor of the picture's coding.
+//! there because alignment needs two of them. Its search round a prediction ends at the first accepted pose. Each
+//! alignment states whether it is precise before the factor of the picture's coding.
 //!
 //! | module | what it decides |
 //! | --- | --- |
@@ -30,8 +31,8 @@ use crate::policy::TimeBudget;
 const TILTED_LOG: f64 = -6.9;
 /// Standard deviation, about each axis, of the turn of right poses from their tracks' predictions, radians.
 const TURN_SIGMA_RAD: f64 = 0.15;
-/// Standard deviation of the turn from its start of a pose that alignment finds where no body is, radians: half of those
-/// with log odds above 1 had turned by more than 0.46 (docs/results/decisions.md).
+/// Standard deviation of the turn from its start, radians, of a pose that alignment finds where no body is. Half of
+/// those with log odds above 1 had turned by more than 0.46 (docs/results/decisions.md).
 const FALSE_TURN_SIGMA_RAD: f64 = 0.3;
 /// Decoded markers that must agree on a pose where neither a track nor alignment supports it. One marker may be
 /// a misread square, and its mirror pose cannot be told from it.
@@ -172,8 +173,8 @@ pub fn of_direct_pass(tried: &Hypothesis) -> Decision {
     decision
 }
 
-/// Decides about poses of a body that a confirmed track predicts: the one that is certain or, where none is, the
-/// likeliest of those that the prediction or decoded markers support, precise or not.
+/// Decides about poses of a body that a confirmed track predicts. The certain one is chosen. Where none is, it is the
+/// likeliest that the prediction or decoded markers support, precise or not.
 pub fn of_tracked(tried: &[Hypothesis]) -> Decision {
     let mut decision = Decision::nothing(tried);
     let mut best: Option<(f64, usize)> = None;

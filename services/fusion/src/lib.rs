@@ -1,6 +1,6 @@
 //! Stage: detections to tracks, and plans for where to look next.
 //!
-//! It takes views, detections and frame ends; it gives tracks and plans. Between frames it keeps a
+//! It takes views, detections, rotations and frame ends; it gives tracks and plans. Between frames it keeps a
 //! filter for each target and what was searched when. The core is pure: events with their times go
 //! in, messages come out. The stage around it moves messages.
 //!

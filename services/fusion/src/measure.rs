@@ -7,9 +7,9 @@
 //! | kind | starts from | asks for | runs |
 //! | --- | --- | --- | --- |
 //! | direct | the prediction alone | a track measured in the frame before | when a region of interest has been cut |
-//! | region | markers, squares like them, the prediction | two markers without a track | when that region has been searched |
-//! | complete | those of all views | two markers without a track, one with | when the frame is complete |
-//! | background | rough starts, a search round the prediction | a picture | beside the others: it takes several times as long |
+//! | region | markers, squares like them, the prediction | two markers, where no picture decides | when that region has been searched |
+//! | complete | those of all views | two markers, or one with a confirmed track | when the frame is complete |
+//! | background | markers without a confirmed track, squares like them, the rough prediction, a search round it | a picture | beside the others: it takes several times as long |
 //! | place | nothing, in any attitude | no track | when a single image is complete |
 
 pub mod background;
@@ -38,10 +38,9 @@ pub struct Row {
     pub starts: &'static [Source],
     /// Which track a target must have.
     pub prior: RequiredPrior,
-    /// Decoded markers that must agree where there is a confirmed track but nothing was aligned.
-    pub min_markers: usize,
-    /// Which pass may search round the prediction where nothing else finds the target.
-    pub round: RoundSearch,
+    /// Whether no more markers can come. Then one is enough where there is a confirmed track, and
+    /// the pass itself may search round the prediction.
+    pub is_last: bool,
     /// Whether a pose must be certain by the picture and the prediction. Others wait for markers.
     pub is_certain: bool,
 }
@@ -68,17 +67,6 @@ impl RequiredPrior {
     }
 }
 
-/// Which pass may search round the prediction.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum RoundSearch {
-    /// None.
-    Never,
-    /// The background pass that this one asks for. More markers may come, so this pass goes on.
-    InBackground,
-    /// The pass itself, or the background pass that it asks for.
-    Allowed,
-}
-
 /// Corners first, because they need no track. Rough starts cost most.
 const MARKERS_AND_PREDICTION: &[Source] =
     &[Source::Corners, Source::DoubtfulSquares, Source::Prediction, Source::RoughPrediction];
@@ -88,8 +76,7 @@ const REGION: Row = Row {
     pass: Pass::Region,
     starts: MARKERS_AND_PREDICTION,
     prior: RequiredPrior::Any,
-    min_markers: MARKERS_WITHOUT_TRACK,
-    round: RoundSearch::InBackground,
+    is_last: false,
     is_certain: false,
 };
 
@@ -99,32 +86,28 @@ static ROWS: [Row; 5] = [
         pass: Pass::Direct,
         starts: &[Source::Prediction],
         prior: RequiredPrior::Measured,
-        round: RoundSearch::Never,
         is_certain: true,
         ..REGION
     },
     REGION,
-    // No more markers can come.
-    Row { pass: Pass::Complete, min_markers: 1, round: RoundSearch::Allowed, ..REGION },
+    Row { pass: Pass::Complete, is_last: true, ..REGION },
     Row {
         pass: Pass::Background,
         starts: &[Source::Corners, Source::DoubtfulSquares, Source::RoughPrediction],
-        round: RoundSearch::Allowed,
         ..REGION
     },
-    Row {
-        pass: Pass::Place,
-        starts: &[Source::Place],
-        prior: RequiredPrior::Untracked,
-        round: RoundSearch::Never,
-        ..REGION
-    },
+    Row { pass: Pass::Place, starts: &[Source::Place], prior: RequiredPrior::Untracked, ..REGION },
 ];
 
 impl Row {
     /// The row of a kind.
     pub fn of(pass: Pass) -> &'static Self {
         &ROWS[pass as usize]
+    }
+
+    /// Decoded markers that must agree where there is a confirmed track but nothing was aligned.
+    pub fn min_markers(&self) -> usize {
+        if self.is_last { 1 } else { MARKERS_WITHOUT_TRACK }
     }
 }
 

@@ -72,7 +72,7 @@ pub fn candidate_rays<'m>(
 ///
 /// One square has a best guess in any clutter. Two that lie to each other as on the body do not come by chance.
 pub fn agreeing_candidates(body: &Body, rays: &[CornerRay]) -> u32 {
-    if distinct_markers(rays) < 2 {
+    if marker_ids(rays).len() < 2 {
         return 0;
     }
     let solutions = solve(body, rays, &PoseOptions::default()).unwrap_or_default();
@@ -97,12 +97,12 @@ fn ray(components: [f64; 3]) -> Ray {
     Unit::new_normalize(Vector3::from(components))
 }
 
-/// How many different markers these are corners of.
-pub fn distinct_markers(rays: &[CornerRay]) -> u32 {
+/// Ids of the markers that these are corners of, in their order.
+pub fn marker_ids(rays: &[CornerRay]) -> Vec<u32> {
     let mut ids: Vec<u32> = rays.iter().map(|ray| ray.marker_id).collect();
     ids.sort_unstable();
     ids.dedup();
-    ids.len() as u32
+    ids
 }
 
 /// The rays of a foreign stage may differ from ours by rounding, but by no more than this, radians.

@@ -208,7 +208,7 @@ fn as_text_and_picture(scratch: &Scratch, recording: &Path, frame: u64) {
     for wanted in ["alpha in frame", "measured by aligning", "log odds", "accepted", "Truth"] {
         assert!(said.contains(wanted), "{wanted:?} is missing in:\n{said}");
     }
-    assert!(said.contains("fusion says again what was recorded, byte by byte"), "{said}");
+    assert!(said.contains("fusion gives again what was recorded, byte by byte"), "{said}");
     let file = BufReader::new(File::open(&picture).expect("it was written"));
     let mut reader = png::Decoder::new(file).read_info().expect("a PNG");
     let mut rgb = vec![0; reader.output_buffer_size().expect("it is small")];

@@ -79,7 +79,7 @@ pub fn is_precise(covariance: &Matrix6<f64>) -> bool {
     is_within_false(covariance, SIGMAS_OF_ALIGNMENT)
 }
 
-/// The same for a pose by corners alone.
+/// Whether a pose by corners alone is of use by itself, by its covariance.
 pub fn is_precise_by_corners(covariance: &Matrix6<f64>) -> bool {
     is_within_false(covariance, SIGMAS_OF_CORNERS)
 }
@@ -95,14 +95,14 @@ impl Alignment {
         self.evidence.log_odds >= least_log_odds(ANYWHERE_PER_HOUR)
     }
 
-    /// The same for a body that a track predicts there, with so much more log odds by how it lies to the prediction.
+    /// Whether the body is there, where a track predicts it. `prior_log_odds` speak for how it lies to the prediction.
     /// Whether it is where the track expects it is for the filter to decide.
     pub fn is_accepted_with_track_prior(&self, prior_log_odds: f64) -> bool {
         self.evidence.log_odds + prior_log_odds >= least_log_odds(PREDICTED_PER_HOUR)
     }
 
-    /// The same for a body of which markers were decoded where this pose has them, with so much more log odds by what
-    /// else is known: a mirror pose has its marker at the same place.
+    /// Whether the body is there, where markers were decoded at this pose. `prior_log_odds` speak for what else is
+    /// known: a mirror pose has its marker at the same place.
     pub fn is_accepted_with_markers(&self, prior_log_odds: f64) -> bool {
         self.evidence.log_odds + prior_log_odds >= least_log_odds(MARKED_PER_HOUR)
     }

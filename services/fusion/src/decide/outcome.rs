@@ -1,6 +1,6 @@
 //! What becomes of a measured pose: publication, a correction of the track, or nothing.
 
-use crate::measurement::{MeasuredBy, Measurement};
+use crate::measurement::Measurement;
 
 /// What a pass led to.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -44,14 +44,6 @@ impl Outcome {
             _ if is_in_background => Self::InBackground,
             Some(imprecise) => Self::Imprecise(imprecise),
             None => Self::Nothing,
-        }
-    }
-
-    /// What a measurement was by that was published.
-    pub fn published_by(&self) -> Option<MeasuredBy> {
-        match self {
-            Self::Published(measurement) => Some(measurement.measured_by),
-            _ => None,
         }
     }
 

@@ -1,7 +1,5 @@
 //! What a frame offers to measure one target by, collected once.
 
-use std::collections::BTreeSet;
-
 use flockeye_geometry::body::Body;
 use flockeye_geometry::pose::{CornerRay, PoseOptions, PoseSolution, choose, solve};
 use flockeye_imaging::align::Place;
@@ -14,6 +12,7 @@ use crate::aligner::{Aligner, BestView, Sought, Start};
 use crate::decide::{self, Decision};
 use crate::frame::parts::{Attempt, Part};
 use crate::hypothesis::{CornerPose, Hypothesis, Source};
+use crate::measurement::marker_ids;
 use crate::policy::TimeBudget;
 use crate::track_prior::TrackPrior;
 
@@ -113,7 +112,7 @@ impl Inputs<'_> {
             .iter()
             .map(|solution| CornerPose {
                 is_chosen: chosen.is_some_and(|chosen| std::ptr::eq(chosen, solution)),
-                verdict: decide::of_corners(solution, is_confirmed, row.min_markers),
+                verdict: decide::of_corners(solution, is_confirmed, row.min_markers()),
                 solution: solution.clone(),
             })
             .collect();
@@ -166,6 +165,7 @@ impl Inputs<'_> {
             round: self.search_round(),
         };
         let decision = comparison.run(aligner, tried);
+        // A direct pass takes only what is certain. The decision above also takes what is merely supported.
         match tried.first() {
             Some(only) if row.is_certain => decide::of_direct_pass(only),
             _ => decision,
@@ -241,8 +241,8 @@ impl Inputs<'_> {
         Trial {
             view_index: self.best_view.map(|view| view.view_index),
             is_deferred: self.permit.is_deferred,
-            decoded: ids_of(&self.decoded),
-            doubtful: ids_of(&self.candidates),
+            decoded: marker_ids(&self.decoded),
+            doubtful: marker_ids(&self.candidates),
             ..Trial::of(pass, &self.prior, self.permit.budget)
         }
     }
@@ -254,12 +254,6 @@ fn corner_start(solution: &PoseSolution) -> (Source, Start) {
 
 fn rough_start(predicted: &Isometry3<f64>) -> (Source, Start) {
     (Source::RoughPrediction, Start::Rough(*predicted))
-}
-
-/// Ids of the markers that these are corners of.
-fn ids_of(rays: &[CornerRay]) -> Vec<u32> {
-    let ids: BTreeSet<u32> = rays.iter().map(|ray| ray.marker_id).collect();
-    ids.into_iter().collect()
 }
 
 #[cfg(test)]

@@ -8,7 +8,7 @@ use crate::decide::outcome::Outcome;
 use crate::frame::parts::{Part, Parts, Status};
 use crate::measure::background::Subject;
 use crate::measure::inputs::{Inputs, Permit};
-use crate::measure::{AnsweredView, BestViews, RoundSearch, Row};
+use crate::measure::{AnsweredView, BestViews, Row};
 use crate::measurement::{MeasuredBy, candidate_rays, decoded_rays};
 use crate::parallel;
 use crate::policy::{TimeBudget, is_search_turn};
@@ -112,11 +112,7 @@ impl Tracker {
             && (is_open || self.tracks_others(target));
         let may_search = (is_urgent || is_search_turn(time.number, target, self.targets.len()))
             && budget != TimeBudget::Overspent
-            && match row.round {
-                RoundSearch::Never => false,
-                RoundSearch::InBackground => is_deferred,
-                RoundSearch::Allowed => true,
-            };
+            && (row.is_last || is_deferred);
         Permit { row, budget, is_deferred, may_search }
     }
 

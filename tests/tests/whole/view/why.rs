@@ -53,7 +53,7 @@ fn a_click_on_a_recordings_timelines_says_why() {
         .output()
         .expect("it can be started");
     let told = String::from_utf8_lossy(&output.stdout).into_owned();
-    assert!(told.contains("fusion says again what was recorded, byte by byte"), "{told}");
+    assert!(told.contains("fusion gives again what was recorded, byte by byte"), "{told}");
     assert_eq!(browser.ask("flockeye.explanation.text.textContent"), told);
     browser.wait_for("flockeye.explanation.picture.naturalWidth > 50");
     browser.press("Escape", "Escape");

@@ -1,12 +1,12 @@
 //! Finds the step of the pipeline that decided: the first one that failed, in plain words.
 
 use flockeye_contract::{MeasuredBy, StopReason, ViewKind};
+use flockeye_fusion::{AccountEntry, CornerVerdict, Hypothesis, Outcome, Pass, Verdict};
 
 use super::explanation::{Explanation, Step, ViewFacts};
 use super::known::FrameKnowledge;
-use super::passes::decided;
+use super::passes::{decided, pass_name};
 use super::poses::Place;
-use flockeye_fusion::{AccountEntry, CornerVerdict, Hypothesis, Outcome, Pass, Trial, Verdict};
 
 /// Largest angle between a hypothesis about the body and where the body is expected, radians. The view of a proposal of a
 /// body at 2 m is narrower.
@@ -108,16 +108,10 @@ fn measured(known: &FrameKnowledge, explanation: &Explanation) -> Option<String>
         MeasuredBy::Aligned => "by aligning the whole body with the picture",
     };
     let mut said = format!("measured {by}");
-    let published = trials(known).find(|trial| trial.outcome.published_by().is_some());
+    let published = known.trials().find(|trial| matches!(trial.outcome, Outcome::Published(_)));
     if let Some(trial) = published {
         let accepted = trial.decision.hypothesis().and_then(|index| trial.hypotheses.get(index));
-        let from = explanation
-            .passes
-            .iter()
-            .find(|pass| pass.outcome.is_some_and(|outcome| outcome.starts_with("published")));
-        if let Some(pass) = from {
-            said.push_str(&format!(", in the pass '{}'", pass.pass));
-        }
+        said.push_str(&format!(", in the pass '{}'", pass_name(trial.pass)));
         let accepted = accepted.filter(|_| result.measured_by == Some(MeasuredBy::Aligned));
         if let Some(log_odds) = accepted.and_then(Hypothesis::log_odds) {
             said.push_str(&format!(", with log odds {log_odds:.1}"));
@@ -126,20 +120,13 @@ fn measured(known: &FrameKnowledge, explanation: &Explanation) -> Option<String>
     Some(said)
 }
 
-fn trials(known: &FrameKnowledge) -> impl Iterator<Item = &Trial> {
-    known.decisions.iter().filter_map(|decision| match decision {
-        AccountEntry::Ran(trial) => Some(trial),
-        _ => None,
-    })
-}
-
 /// A pose that was found, and was not published as the frame's measurement.
 fn by_outcome(known: &FrameKnowledge) -> Option<(Step, String)> {
     let at_end = known.decisions.iter().filter_map(|decision| match decision {
         AccountEntry::TakenImprecise(outcome) => Some(*outcome),
         _ => None,
     });
-    let outcomes = trials(known).map(|trial| trial.outcome).chain(at_end);
+    let outcomes = known.trials().map(|trial| trial.outcome).chain(at_end);
     let said = |outcome: Outcome| match outcome {
         Outcome::Late(_) => Some((
             Step::TooLate,
@@ -221,7 +208,7 @@ fn no_place(known: &FrameKnowledge, explanation: &Explanation) -> String {
         ids if ids.is_empty() => String::new(),
         ids => format!("; squares that may be its markers {ids} were found, of which no two agree"),
     };
-    let places = match trials(known).filter(|trial| trial.pass == Pass::Place).count() {
+    let places = match known.trials().filter(|trial| trial.pass == Pass::Place).count() {
         0 => String::new(),
         count => {
             format!("; it was looked for in any attitude at {count} places, and found at none")
@@ -269,7 +256,7 @@ pub fn name_of(view: &ViewFacts) -> String {
 fn by_hypotheses(known: &FrameKnowledge, place: Option<&Place>) -> Option<(Step, String)> {
     // Most places that look like a body are none, so hypotheses there are not about this body.
     let mut all: Vec<(&Hypothesis, Verdict)> = Vec::new();
-    for trial in trials(known) {
+    for trial in known.trials() {
         let is_place = trial.pass == Pass::Place;
         all.extend(trial.decided().filter(|(it, _)| !is_place || is_at(it, place)));
     }
@@ -306,7 +293,7 @@ fn is_at(hypothesis: &Hypothesis, place: Option<&Place>) -> bool {
 
 /// Why corners alone were not enough.
 fn by_corners(known: &FrameKnowledge) -> Option<(Step, String)> {
-    let poses = trials(known).flat_map(|trial| &trial.corner_poses);
+    let poses = known.trials().flat_map(|trial| &trial.corner_poses);
     let chosen = poses.filter(|pose| pose.is_chosen).last()?;
     let agreeing = chosen.solution.inlier_markers.len();
     let why = match chosen.verdict {

@@ -1,7 +1,7 @@
 //! All that is known of one target in one frame.
 
 use flockeye_contract::FrameStamp;
-use flockeye_fusion::{AccountEntry, Core};
+use flockeye_fusion::{AccountEntry, Core, Trial};
 use flockeye_geometry::filter::TrackState;
 use nalgebra::{Isometry3, Matrix6};
 
@@ -26,6 +26,16 @@ pub struct FrameKnowledge {
     pub replay: ReplayOutcome,
     /// Messages that the recording lacks.
     pub lost: Vec<LostMessages>,
+}
+
+impl FrameKnowledge {
+    /// The passes that ran.
+    pub fn trials(&self) -> impl Iterator<Item = &Trial> {
+        self.decisions.iter().filter_map(|decision| match decision {
+            AccountEntry::Ran(trial) => Some(trial),
+            _ => None,
+        })
+    }
 }
 
 /// The result of a replay.

@@ -32,7 +32,7 @@ fn of_entry(frames: &Mounting<'_>, entry: &AccountEntry) -> PassFacts {
     };
     match entry {
         AccountEntry::NotRun(pass, reason) => {
-            PassFacts { not_run: Some(reason_of(*reason)), ..nothing(name_of(*pass)) }
+            PassFacts { not_run: Some(reason_of(*reason)), ..nothing(pass_name(*pass)) }
         }
         AccountEntry::Contradicted => PassFacts {
             outcome: Some(
@@ -49,7 +49,7 @@ fn of_entry(frames: &Mounting<'_>, entry: &AccountEntry) -> PassFacts {
 
 fn of_trial(frames: &Mounting<'_>, trial: &Trial) -> PassFacts {
     PassFacts {
-        pass: name_of(trial.pass),
+        pass: pass_name(trial.pass),
         not_run: None,
         view_index: trial.view_index,
         is_late: trial.budget == TimeBudget::Overspent,
@@ -172,7 +172,8 @@ fn below(hypothesis: &Hypothesis, asked: &LeastLogOdds) -> String {
     said
 }
 
-fn name_of(pass: Pass) -> &'static str {
+/// A pass in words.
+pub fn pass_name(pass: Pass) -> &'static str {
     match pass {
         Pass::Direct => "direct",
         Pass::Region => "corners of the region",

@@ -3,7 +3,6 @@
 use flockeye_config::Resolved;
 use flockeye_contract::{MeasuredBy, Pose, Track, TrackState, ViewHeader, ViewKind};
 use flockeye_convert::{isometry, pose};
-use flockeye_fusion::AccountEntry;
 use flockeye_geometry::Ray;
 use flockeye_geometry::pose::PoseDeviations;
 use nalgebra::{Isometry3, Matrix6};
@@ -22,24 +21,24 @@ pub struct Mounting<'r> {
 impl Mounting<'_> {
     /// `camera_from_markers` as a pose of the drone.
     pub fn of_markers(&self, camera_from_markers: &Isometry3<f64>) -> PoseFacts {
-        let mounted = self.resolved.bodies.get(self.target);
-        let target_from_markers =
-            mounted.map_or_else(Isometry3::identity, |body| body.target_from_markers);
         of_pose(
             &(self.resolved.observer_from_camera
                 * camera_from_markers
-                * target_from_markers.inverse()),
+                * self.target_from_markers().inverse()),
         )
     }
 
     /// A pose of the drone as `camera_from_markers`.
     pub fn to_markers(&self, observer_from_target: &Pose) -> Isometry3<f64> {
-        let mounted = self.resolved.bodies.get(self.target);
-        let target_from_markers =
-            mounted.map_or_else(Isometry3::identity, |body| body.target_from_markers);
         self.resolved.observer_from_camera.inverse()
             * isometry(observer_from_target)
-            * target_from_markers
+            * self.target_from_markers()
+    }
+
+    /// Where the markers sit on the drone.
+    fn target_from_markers(&self) -> Isometry3<f64> {
+        let mounted = self.resolved.bodies.get(self.target);
+        mounted.map_or_else(Isometry3::identity, |body| body.target_from_markers)
     }
 }
 
@@ -142,11 +141,7 @@ pub fn reference_pose(
     if let Some(track) = measured {
         return Some((frames.to_markers(told(track)), ResidualOf::Measurement));
     }
-    let trials = known.decisions.iter().filter_map(|decision| match decision {
-        AccountEntry::Ran(trial) => Some(trial),
-        _ => None,
-    });
-    let hypotheses = trials.flat_map(|trial| &trial.hypotheses);
+    let hypotheses = known.trials().flat_map(|trial| &trial.hypotheses);
     let likeliest = hypotheses
         .filter_map(|hypothesis| Some((hypothesis.log_odds()?, hypothesis.found.as_ref().ok()?)))
         .max_by(|(one, _), (other, _)| one.total_cmp(other));

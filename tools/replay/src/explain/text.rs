@@ -64,12 +64,12 @@ fn reliance(out: &mut String, explanation: &Explanation) -> std::fmt::Result {
     let reliance = &explanation.reliance;
     writeln!(out)?;
     if reliance.is_exact {
-        writeln!(out, "Replayed  fusion says again what was recorded, byte by byte")?;
+        writeln!(out, "Replayed  fusion gives again what was recorded, byte by byte")?;
     }
     if let Some(difference) = &reliance.difference {
         writeln!(
             out,
-            "Replayed  fusion says something else than was recorded, so this may not be what happened: {difference}"
+            "Replayed  fusion gives something else than was recorded, so this may not be what happened: {difference}"
         )?;
     }
     for untold in &reliance.untold {
