@@ -102,8 +102,7 @@ impl<F> Core<F> {
         proposals: ProposalChooser,
         now_ns: i64,
     ) -> Self {
-        let dispatcher =
-            Dispatcher::new(options.workers, options.window).with_probe_after(options.overdue / 2);
+        let dispatcher = Dispatcher::new(options.workers, options.window, options.overdue / 2);
         Self {
             options,
             clock,

@@ -1,8 +1,8 @@
 //! Which worker gets the next view, and which views were lost.
 //!
 //! A worker answers each view, in the order in which it got them. One that answers nothing for too
-//! long is stalled: its views go to others, and it gets none until it answers, but for one view
-//! now and then, in case that another process took its place.
+//! long is stalled: its views go to others. It gets none until it answers, but for one view now and
+//! then, in case that another process took its place.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -54,25 +54,16 @@ struct Attempt {
     issued: Duration,
 }
 
-/// How long a stalled worker is left alone before it is tried again, unless configured otherwise.
-const PROBE_AFTER: Duration = Duration::from_secs(1);
-
 impl<K: Ord + Copy> Dispatcher<K> {
     /// Dispatches to workers 0 to `workers` - 1, each with at most `window_per_worker` views in
-    /// flight.
-    pub(crate) fn new(workers: usize, window_per_worker: usize) -> Self {
+    /// flight. A stalled worker is left alone for `probe_after` before it is tried again.
+    pub(crate) fn new(workers: usize, window_per_worker: usize, probe_after: Duration) -> Self {
         Self {
             window: window_per_worker,
-            probe_after: PROBE_AFTER,
+            probe_after,
             workers: vec![Worker::default(); workers],
             views: BTreeMap::new(),
         }
-    }
-
-    /// Leaves a stalled worker alone for `probe_after` before it is tried again.
-    pub(crate) fn with_probe_after(mut self, probe_after: Duration) -> Self {
-        self.probe_after = probe_after;
-        self
     }
 
     /// The worker for the next view: of those that live and have room, the one with the fewest
@@ -225,7 +216,7 @@ mod tests {
 
     #[test]
     fn the_least_busy_worker_comes_next_and_the_window_holds() {
-        let mut views = Dispatcher::new(2, 2);
+        let mut views = Dispatcher::new(2, 2, at(1000));
         let mut order = Vec::new();
         for view in 0..4 {
             let worker = views.next_worker(at(0)).unwrap_or(9);
@@ -240,13 +231,13 @@ mod tests {
 
     #[test]
     fn without_workers_there_is_no_next_one() {
-        assert_eq!(Dispatcher::<u32>::new(0, 2).next_worker(at(0)), None);
-        assert_eq!(Dispatcher::<u32>::new(3, 0).next_worker(at(0)), None);
+        assert_eq!(Dispatcher::<u32>::new(0, 2, at(1000)).next_worker(at(0)), None);
+        assert_eq!(Dispatcher::<u32>::new(3, 0, at(1000)).next_worker(at(0)), None);
     }
 
     #[test]
     fn a_dead_worker_loses_nobodys_view() {
-        let mut views = Dispatcher::new(2, 4);
+        let mut views = Dispatcher::new(2, 4, at(1000));
         for view in 0..4 {
             views.issued(view, view as usize % 2, at(0));
         }
@@ -268,7 +259,7 @@ mod tests {
 
     #[test]
     fn a_late_answer_counts_once() {
-        let mut views = Dispatcher::new(2, 2);
+        let mut views = Dispatcher::new(2, 2, at(1000));
         views.issued(7, 0, at(0));
         assert_eq!(views.overdue(at(100), TIMEOUT), [7]);
         assert_eq!(views.issued(7, 1, at(100)), 1);
@@ -283,7 +274,7 @@ mod tests {
 
     #[test]
     fn a_late_answer_before_the_view_is_cut_again_makes_that_needless() {
-        let mut views = Dispatcher::new(1, 2);
+        let mut views = Dispatcher::new(1, 2, at(1000));
         views.issued(7, 0, at(0));
         assert_eq!(views.overdue(at(100), TIMEOUT), [7]);
         assert_eq!(views.acknowledged(7, 0, 0, at(110)), Acknowledgement::First);
@@ -292,7 +283,7 @@ mod tests {
 
     #[test]
     fn attempts_that_were_never_made_answer_nothing() {
-        let mut views = Dispatcher::new(1, 2);
+        let mut views = Dispatcher::new(1, 2, at(1000));
         views.issued(7, 0, at(0));
         assert_eq!(views.acknowledged(7, 0, 1, at(1)), Acknowledgement::Repeated);
         assert_eq!(views.acknowledged(8, 5, 0, at(1)), Acknowledgement::Repeated);
@@ -301,7 +292,7 @@ mod tests {
 
     #[test]
     fn a_stalled_worker_is_tried_with_one_view_now_and_then() {
-        let mut views = Dispatcher::new(1, 3).with_probe_after(at(500));
+        let mut views = Dispatcher::new(1, 3, at(500));
         views.issued(0, 0, at(0));
         assert_eq!(views.overdue(at(100), TIMEOUT), [0]);
         assert_eq!((views.silent(), views.silent()), (vec![(0, 1)], vec![]));
@@ -316,7 +307,7 @@ mod tests {
 
     #[test]
     fn abandoned_views_are_forgotten() {
-        let mut views = Dispatcher::new(1, 3);
+        let mut views = Dispatcher::new(1, 3, at(1000));
         views.issued((4, 0), 0, at(0));
         views.issued((5, 0), 0, at(0));
         views.retain(|(frame, _)| frame == 5);
@@ -335,7 +326,7 @@ mod tests {
             views in 1..20u32,
             luck in proptest::collection::vec(0..10u8, 600),
         ) {
-            let mut dispatcher = Dispatcher::new(workers, window).with_probe_after(at(300));
+            let mut dispatcher = Dispatcher::new(workers, window, at(300));
             let mut pending: BTreeSet<u32> = (0..views).collect();
             let mut held: Vec<(u32, usize, u32)> = Vec::new();
             let mut done = Vec::new();

@@ -6,8 +6,8 @@ use flockeye_geometry::search::PROPOSAL_FIELD_RADII;
 use flockeye_geometry::view::View;
 use flockeye_imaging::proposals::{Detail, MarkerSizes, Proposal};
 
-/// Places of a frame that are kept. Of the 28 bodies within 2.2 m and blurred by less than 4 px in
-/// the simulated frames that the weights were chosen on, 27 are among these (docs/FUSION.md).
+/// Places of a frame that are kept. In simulated gusts, 10 of the 12 bodies within 2.2 m and blurred
+/// by less than 4 px are among these (docs/results/experiments.md, quick look).
 const MOST: usize = 24;
 
 /// Limit for how far a place moves from one frame to the next, radians: 170 degrees/s at 30
@@ -77,7 +77,7 @@ pub(crate) struct ProposalChooser {
 }
 
 impl ProposalChooser {
-    /// For the bodies and the camera of a configuration.
+    /// The chooser for the bodies and the camera of a configuration.
     ///
     /// # Errors
     /// A mask that cannot be read.

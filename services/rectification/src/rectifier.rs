@@ -16,10 +16,9 @@ pub struct FrameKey {
 /// Cuts views from frames.
 ///
 /// [`Rectifier::cut`] alone gives any view of any frame. A graphics processor works ahead if it is
-/// informed before: of a frame that will come next by [`Rectifier::prepare`], so that it is
-/// uploaded while another is being cut, and of views that will be asked for by
-/// [`Rectifier::order`], so that they are cut together. Both return at once, and whoever does not
-/// need them ignores them.
+/// informed before. [`Rectifier::prepare`] names the frame that comes next, which is uploaded while
+/// another is being cut. [`Rectifier::order`] names views that will be asked for, which are cut
+/// together. Both return at once; a back end that does not need them ignores them.
 ///
 /// Both back ends give the same greys within 2, and each the same bytes whatever was prepared and
 /// ordered.

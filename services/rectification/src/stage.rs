@@ -20,6 +20,8 @@ use crate::standby::Standby;
 
 type FrameEvent = Event<Message<Frames>>;
 
+const REFUSED: &str = "frame refused";
+
 /// Takes frames, plans and detections (as acknowledgements); gives views and frame ends.
 pub(crate) struct RectificationStage {
     inbox: Inbox,
@@ -30,6 +32,7 @@ pub(crate) struct RectificationStage {
     cutter: Cutter,
     reports: SilenceReports,
     counters: SharedCounters,
+    refusals: Throttle,
     failures: Throttle,
 }
 
@@ -53,6 +56,7 @@ impl Stage for RectificationStage {
             cutter: Cutter::new(standby, resolved.camera),
             reports: SilenceReports::new(ports.listening(), pipeline.view_overdue()),
             counters: context.counters.clone(),
+            refusals: Throttle::default(),
             failures: Throttle::default(),
         })
     }
@@ -75,7 +79,7 @@ impl Stage for RectificationStage {
             Action::End(end) => self.frame_ends.send(*end, &[])?,
             Action::TakeUp { frame, likely } => {
                 let done = self.announce(*frame, likely);
-                self.feed(*frame, done, "frame refused");
+                self.feed(*frame, done, REFUSED);
             }
             Action::Look { frame, search } => {
                 let done = self.look(*frame, search).map(Some);
@@ -105,7 +109,9 @@ impl RectificationStage {
     fn feed(&mut self, frame: FrameOrder, outcome: Outcome<Option<FrameEvent>>, what: &str) {
         let event = outcome.unwrap_or_else(|error| {
             self.counters.add_failed(1);
-            if let Some(more) = self.failures.admit() {
+            // A flood of one does not hide the first of the other.
+            let throttle = if what == REFUSED { &mut self.refusals } else { &mut self.failures };
+            if let Some(more) = throttle.admit() {
                 tracing::warn!(frame = frame.2, more_since = more, "{what}: {error:#}");
             }
             Some(Event::Failed(frame))

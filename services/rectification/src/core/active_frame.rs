@@ -19,7 +19,7 @@ pub(crate) struct ActiveFrame<F> {
     pub(crate) pixels: F,
     /// Its views.
     pub(crate) job: Job,
-    /// Views that the back end knows of.
+    /// Views that were announced to the back end.
     announced: BTreeSet<u32>,
 }
 
@@ -45,8 +45,7 @@ impl<F> ActiveFrame<F> {
         self.job.frame.stamp.order()
     }
 
-    /// The cuts of those of `views` that the back end does not know of yet. It knows of them all
-    /// then.
+    /// The cuts of those of `views` that were not announced yet. All are announced then.
     pub(crate) fn announce(
         &mut self,
         views: impl IntoIterator<Item = u32>,

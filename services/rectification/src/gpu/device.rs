@@ -1,8 +1,9 @@
 //! The opened device: its queue, its limits, and whether it still works.
 
-use std::sync::{Arc, Mutex, PoisonError, mpsc};
+use std::sync::{Arc, Mutex, mpsc};
 use std::time::Duration;
 
+use flockeye_runtime::lock::lock;
 use wgpu::{BufferAsyncError, BufferUsages, Features, Limits, MapMode, SubmissionIndex};
 
 use super::adapter::FoundAdapter;
@@ -58,7 +59,7 @@ impl Device {
 
         let failure = Arc::new(Mutex::new(None));
         let note = |failure: &Arc<Mutex<Option<String>>>, reason: String| {
-            failure.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(reason);
+            lock(failure).get_or_insert(reason);
         };
         let lost = Arc::clone(&failure);
         device.set_device_lost_callback(move |why, message| {
@@ -79,7 +80,7 @@ impl Device {
     }
 
     fn failure(&self) -> Option<String> {
-        self.failure.lock().unwrap_or_else(PoisonError::into_inner).clone()
+        lock(&self.failure).clone()
     }
 
     /// Fails if anything has gone wrong on the device so far.
@@ -89,7 +90,7 @@ impl Device {
 
     /// Gives the device up, for `reason` unless there was one before.
     pub(super) fn give_up(&self, reason: String) -> RectifyError {
-        let mut failure = self.failure.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut failure = lock(&self.failure);
         self.lost(failure.get_or_insert(reason).clone())
     }
 

@@ -1,10 +1,11 @@
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::{Mutex, MutexGuard};
 
 use flockeye_geometry::camera::Camera;
 use flockeye_geometry::view::View;
 use flockeye_runtime::health::SharedCounters;
+use flockeye_runtime::lock::lock;
 use nalgebra::{Unit, Vector3};
 
 use super::memory::Memory;
@@ -18,7 +19,7 @@ const CAMERA: Camera = Camera::equirectangular(64, 32);
 static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
 
 fn alone() -> MutexGuard<'static, ()> {
-    ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner)
+    lock(&ONE_AT_A_TIME)
 }
 
 /// A rectifier for this memory, or for the device's best.
