@@ -72,8 +72,8 @@ impl Configuration {
         self.profile.is_some() || of_settings || self.flow.as_deref() == Some("latest")
     }
 
-    /// The same configuration in a profile that works on every frame: the one it says, with `defaults`
-    /// below it, and `repeat` where that is for flight.
+    /// This configuration in a profile that works on every frame: its own, with `defaults` below it, or
+    /// `repeat` in place of `flight`.
     ///
     /// # Errors
     /// Everything that is wrong with it.
@@ -85,7 +85,7 @@ impl Configuration {
         })
     }
 
-    /// The same configuration in another profile than the command line says.
+    /// This configuration in `profile`, whatever the command line has.
     pub fn in_profile(mut self, profile: Profile) -> Self {
         self.set.retain(|setting| !says_how_it_runs(setting));
         Self { profile: Some(profile.name().to_owned()), flow: None, ..self }

@@ -6,11 +6,11 @@
 //! | [`dated`] | names of files that say when they were begun |
 //! | [`lab`] | the commands that `flockeye` passes on to `flockeye-lab` |
 //! | [`program`] | where those programs are |
+//! | [`replay`] | the commands that `flockeye` passes on to `flockeye-replay` |
 //! | [`running`] | which of the running pipelines is meant, and its messages |
 //! | [`screen`] | the terminal: log lines above, a live table below |
 //! | [`signals`] | a flag that Ctrl-C raises |
 //! | [`text_table`] | tables of plain text |
-//! | [`replay`] | the commands that `flockeye` passes on to `flockeye-replay` |
 //! | [`workshop`] | the commands that `flockeye` passes on to `flockeye-workshop` |
 
 pub mod arguments;

@@ -120,7 +120,7 @@ impl Node {
         Ok(())
     }
 
-    /// The same without the origins, as serde wants it. A key without a value is a key left out.
+    /// The document without the origins, as serde wants it. A key without a value is a key left out.
     pub fn to_json(&self) -> Value {
         match &self.data {
             Data::Scalar(value) => value.clone(),

@@ -131,7 +131,6 @@ fn fixed(document: &mut Node, problems: &mut Problems, notices: &mut Vec<String>
     for (path, value, why) in FIXED {
         let Some(node) = document.take(path) else { continue };
         let (origin, found) = (node.origin.clone(), node.to_json());
-        let is_left_out = value == "null";
         if found.is_null() {
             continue;
         }
@@ -140,9 +139,9 @@ fn fixed(document: &mut Node, problems: &mut Problems, notices: &mut Vec<String>
             notices.push(format!("{origin}: {path} is fixed at {value} now: leave it out; the next release refuses it"));
             continue;
         }
-        let fixed = match is_left_out {
-            true => "is no key any more".to_owned(),
-            false => format!("is fixed at {value} now"),
+        let fixed = match value {
+            "null" => "is no key any more".to_owned(),
+            _ => format!("is fixed at {value} now"),
         };
         problems.add(Problem::new(origin, path, format!("{fixed}: {why}. Cure: leave it out")));
     }

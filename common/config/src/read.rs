@@ -100,7 +100,7 @@ impl Pipeline {
     /// release. It was checked when it was written, and files that it names may be gone by now.
     ///
     /// # Errors
-    /// What is no configuration of this release or the one before it.
+    /// What is no configuration of this release, or names what this release cannot do.
     pub fn from_json(json: &[u8]) -> Result<Self, ConfigError> {
         let refused = |problem| ConfigError::Problems {
             name: "pipeline.json".to_owned(),
@@ -129,7 +129,7 @@ impl Pipeline {
 /// languages.
 pub const RESOLVED: &str = "resolved";
 
-/// The key of `pipeline.json` that tells stages in other languages how frames flow.
+/// The key of `pipeline.json` with the flow of frames, for stages in other languages.
 pub const FLOW: &str = "flow";
 
 /// Reads another YAML (or JSON) document than pipeline.yaml, checked in the same way.

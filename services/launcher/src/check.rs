@@ -6,7 +6,7 @@ use std::time::Duration;
 use anyhow::{Context, ensure};
 use clap::Args;
 use flockeye_cli::{Configuration, Screen, duration, signals};
-use flockeye_config::{FrameLimit, Profile, RecordingTrigger, Resolved};
+use flockeye_config::{FrameLimit, RecordingTrigger, Resolved};
 use flockeye_dictionary::Dictionary;
 use flockeye_geometry::partition;
 use flockeye_network::NetworkParameters;
@@ -95,14 +95,8 @@ fn plan(resolved: &Resolved, budget: &Budget) -> anyhow::Result<String> {
         (&resolved.pipeline, &resolved.bodies, &resolved.partition_views);
     let mut text = String::new();
     let instance = Instance::named(&pipeline.instance.0);
-    let profile = match pipeline.profile {
-        Profile::Flight => "in real time, the newest frame wins",
-        Profile::Repeat => "every frame, in the time that flight has, by stated costs",
-        Profile::Unlimited => "every frame, however long it takes",
-        Profile::Stills => "every frame, each for itself",
-    };
     writeln!(text, "instance '{}' in {}", pipeline.instance.0, instance.folder().display())?;
-    writeln!(text, "profile  {}: {profile}", pipeline.profile.name())?;
+    writeln!(text, "profile  {}: {}", pipeline.profile.name(), pipeline.profile.about())?;
     writeln!(
         text,
         "source   {} (stage {})",

@@ -114,10 +114,7 @@ pub fn run() -> anyhow::Result<()> {
         | FlockeyeCommand::Swarm
         | FlockeyeCommand::Contract
         | FlockeyeCommand::Stage => {
-            anyhow::bail!(
-                "`flockeye record`, `view`, `replay`, `explain`, `chaos`, `swarm`, `contract` and `stage` are written \
-                 without anything before them"
-            )
+            anyhow::bail!("a command of another program is written without anything before it")
         }
         FlockeyeCommand::Peers(arguments) => peers::run(&arguments),
         FlockeyeCommand::Keys(command) => keys::run(&command),
@@ -140,7 +137,7 @@ fn command() -> clap::Command {
     own_command().help_template(template).subcommands(hidden)
 }
 
-/// The command line without the commands of other programs.
+/// The command line without the lab's commands.
 pub fn own_command() -> clap::Command {
     Flockeye::command()
 }
@@ -155,11 +152,19 @@ mod tests {
     }
 
     #[test]
-    fn the_help_lists_the_commands_of_both_programs() {
+    fn the_help_lists_the_commands_of_all_programs() {
         let help = command().render_help().to_string();
-        for wanted in
-            ["  up ", "  record ", "  schema ", "  eval ", "  calibrate ", "(by flockeye-lab):"]
-        {
+        for wanted in [
+            "  up ",
+            "  record ",
+            "  replay ",
+            "  chaos ",
+            "  stage ",
+            "  schema ",
+            "  eval ",
+            "  calibrate ",
+            "(by flockeye-lab):",
+        ] {
             assert!(help.contains(wanted), "{wanted:?} is missing in:\n{help}");
         }
         assert!(!help.contains("exec-stage"), "{help}");

@@ -213,9 +213,12 @@ impl<'a> Supervisor<'a> {
         pid.is_some_and(|pid| dashboard.last_report(stage, replica, pid).is_some())
     }
 
-    fn is_at_end(&self) -> bool {
+    fn source_has_finished(&self) -> bool {
         self.messages.state_of(self.pipeline.source.stage().name(), 0) == Some(StageState::Finished)
-            && self.messages.quiet_time() > QUIET_TIME
+    }
+
+    fn is_at_end(&self) -> bool {
+        self.source_has_finished() && self.messages.quiet_time() > QUIET_TIME
     }
 
     /// Whether it ran for longer than it takes to start.

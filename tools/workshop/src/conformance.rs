@@ -30,10 +30,11 @@ use clap::Args;
 use flockeye_cli::{Configuration, Screen};
 use flockeye_config::Resolved;
 use flockeye_contract::StageName;
+use flockeye_launcher::control::stage_name;
 
 use self::bench::Bench;
 use self::report::Report;
-use flockeye_launcher::control::stage_name;
+use crate::fleet::free_ports;
 
 /// Arguments of `stage test`.
 #[derive(Debug, Args)]
@@ -79,14 +80,14 @@ pub(crate) fn run(arguments: &TestArguments) -> anyhow::Result<()> {
     match stage {
         // A swarm of its own: no real peer gets its reports.
         StageName::Gateway => own.extend([
-            format!("gateway.listen=[tcp/127.0.0.1:{}]", free_port()?),
+            format!("gateway.listen=[tcp/127.0.0.1:{}]", free_ports(1)?[0]),
             "gateway.connect=[]".to_owned(),
             "gateway.scout_interface=null".to_owned(),
             format!("observer.swarm={name}"),
         ]),
         // Nobody is at the other end, so that no real autopilot or node gets what is made up.
         StageName::Autopilot => own.push(format!("autopilot.link=udpin:{}", free_udp()?)),
-        StageName::Ros2 => own.push(format!("ros2.connect=[tcp/127.0.0.1:{}]", free_port()?)),
+        StageName::Ros2 => own.push(format!("ros2.connect=[tcp/127.0.0.1:{}]", free_ports(1)?[0])),
         _ => {}
     }
     let resolved = Resolved::of(arguments.configuration.load_with(&[], &own)?)?;
@@ -122,12 +123,6 @@ pub(crate) fn run(arguments: &TestArguments) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// A port of this machine that nobody listens on.
-fn free_port() -> anyhow::Result<u16> {
-    let listener = std::net::TcpListener::bind("127.0.0.1:0").context("no port is free")?;
-    Ok(listener.local_addr().context("no port is free")?.port())
-}
-
 /// A UDP address of this machine that nobody has.
 fn free_udp() -> anyhow::Result<std::net::SocketAddr> {
     let socket = std::net::UdpSocket::bind("127.0.0.1:0").context("no port is free")?;
@@ -147,12 +142,15 @@ mod tests {
             include_str!("conformance/fusion.rs"),
             include_str!("conformance/gateway.rs"),
             include_str!("conformance/inertial.rs"),
+            include_str!("conformance/outlet.rs"),
             include_str!("conformance/rectification.rs"),
+            include_str!("conformance/report.rs"),
             include_str!("conformance/source.rs"),
         ];
         let mut count = 0;
         for line in sources.iter().flat_map(|source| source.lines()) {
             let Some((name, text)) = line.split_once(": &str = \"") else { continue };
+            let name = name.trim_start_matches("pub(super) ");
             if ["const PAGE", "const OWES", "const MUST_PASS", "const TRACK_PAGE"].contains(&name) {
                 let heading = text.trim_end_matches("\";");
                 let is_there =

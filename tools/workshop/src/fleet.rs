@@ -47,7 +47,7 @@ impl Fleet {
     /// A name is taken, or a process or its file cannot be had.
     pub(crate) fn start(pipelines: &[(String, Vec<OsString>)]) -> anyhow::Result<Self> {
         let program = program::find("flockeye")?;
-        let folder = std::env::temp_dir().join(format!("flockeye-swarm-{}", std::process::id()));
+        let folder = std::env::temp_dir().join(format!("flockeye-fleet-{}", std::process::id()));
         std::fs::create_dir_all(&folder).with_context(|| folder.display().to_string())?;
         let mut fleet = Self { pipelines: Vec::new(), folder };
         for (name, arguments) in pipelines {
@@ -127,7 +127,7 @@ impl Drop for Fleet {
 }
 
 /// Free TCP ports of the loopback interface. If another program takes one meanwhile, the gateway
-/// fails and says so.
+/// fails with that reason.
 ///
 /// # Errors
 /// The system gives none.

@@ -31,7 +31,7 @@ pub(crate) use camera::{camera, response_table, simulated_camera};
 pub(crate) use sphere::high_resolution_tiles;
 
 /// Tiles searched after the regions of interest in each frame with `profile: unlimited`: a third of the
-/// partitions, so that the sphere is swept within a few frames and no frame takes much longer than another.
+/// default partitions, so that the sphere is swept within a few frames and no frame takes much longer than another.
 const UNLIMITED_TILES: usize = 4;
 
 /// Why a configuration cannot be resolved.

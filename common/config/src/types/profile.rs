@@ -50,7 +50,7 @@ impl Flow {
 pub enum FrameLimit {
     /// The time until the next frame.
     Time,
-    /// The same time, of which each piece of work takes what [`Costs`] states.
+    /// The time until the next frame, of which each piece of work takes what [`Costs`] states.
     Costs,
     /// Nothing.
     Unlimited,
@@ -84,12 +84,22 @@ impl Profile {
         }
     }
 
+    /// How it runs, in words.
+    pub const fn about(self) -> &'static str {
+        match self {
+            Self::Flight => "in real time, the newest frame wins",
+            Self::Repeat => "every frame, in the time that flight has, by stated costs",
+            Self::Unlimited => "every frame, however long it takes",
+            Self::Stills => "every frame, each for itself",
+        }
+    }
+
     /// How frames flow.
     pub const fn flow(self) -> Flow {
         self.conduct().flow
     }
 
-    /// What each profile means. Nothing else in the workspace asks which profile it is.
+    /// What each profile means. No stage asks which profile it is.
     const fn conduct(self) -> Conduct {
         let flight = Conduct {
             flow: Flow::Latest,
@@ -138,9 +148,9 @@ impl Pipeline {
         self.profile.conduct().has_tracks
     }
 
-    /// Whether a stage runs: one of the sources, the gateway unless it is switched off, ROS 2 and the
-    /// autopilot where they are configured, egomotion where neighbours are tracked, and the inertial stage
-    /// where the sensor is no part of the source.
+    /// Whether a stage runs. One of the sources does, and the gateway unless it is switched off. ROS 2 and
+    /// the autopilot run where they are configured and the gateway is on. Egomotion runs where neighbours
+    /// are tracked, and the inertial stage where the sensor is no part of the source.
     pub fn runs(&self, stage: StageName) -> bool {
         match stage {
             StageName::Gateway => self.gateway.enabled,

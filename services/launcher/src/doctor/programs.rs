@@ -1,5 +1,5 @@
 //! The stages' programs: whether each is there, runs and is of this build, and what it finds on the
-//! machine. the machine.
+//! machine.
 
 use std::io::Write;
 use std::process::{Command, Stdio};

@@ -116,7 +116,7 @@ impl KeptOutput {
         Ok(true)
     }
 
-    /// Passes on what a process has left that has ended. Of very much, the end is left out.
+    /// Passes on what a process has left that has ended. The end of very long output is left out.
     ///
     /// # Errors
     /// The file cannot be read.

@@ -46,8 +46,7 @@ impl Supervisor<'_> {
         self.kill_those_that_hang();
         self.name_those_that_are_late();
         self.act_on_complaints();
-        let source_has_finished = self.messages.state_of(self.pipeline.source.stage().name(), 0)
-            == Some(StageState::Finished);
+        let source_has_finished = self.source_has_finished();
         for index in 0..self.workers.processes.len() {
             let process = &mut self.workers.processes[index];
             let is_finished = process.worker.stage.is_source() && source_has_finished;
@@ -128,7 +127,11 @@ impl Supervisor<'_> {
         for process in &mut self.workers.processes {
             let Worker { stage, replica } = process.worker;
             let patience = match stage {
-                StageName::Capture | StageName::Inertial | StageName::Gateway => DEVICE_PATIENCE,
+                StageName::Capture
+                | StageName::Inertial
+                | StageName::Autopilot
+                | StageName::Gateway
+                | StageName::Ros2 => DEVICE_PATIENCE,
                 _ => flow_patience,
             };
             let heartbeat_s = self.pipeline.supervision.heartbeat_s * patience;

@@ -36,7 +36,7 @@ impl HandOverNotice {
         Ok(Self { publisher: ports.publisher()?, current: HandOver::default(), folder, is_kept })
     }
 
-    /// Tells whoever has joined since the last call.
+    /// Sends the hand-over to readers that have joined since the last call.
     ///
     /// # Errors
     /// The topic cannot be written to.

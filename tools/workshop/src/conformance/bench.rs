@@ -17,12 +17,9 @@ use flockeye_runtime::memory::{Budget, shared_memory_space};
 use flockeye_runtime::ports::{Ports, Subscriber, TopicServices, create_all_services};
 use iceoryx2::prelude::*;
 
-use super::report::Report;
+use super::report::{MUST_PASS, OWES, Report};
 use flockeye_launcher::control::Worker;
 use flockeye_launcher::process::{LogLine, Process, ProcessChange, STOP_TIME};
-
-const OWES: &str = "What every stage owes";
-const MUST_PASS: &str = "What a message must pass";
 
 /// How often the test looks for messages.
 const LOOK: Duration = Duration::from_micros(500);

@@ -13,10 +13,9 @@ use nalgebra::{UnitQuaternion, Vector3};
 
 use super::bench::Bench;
 use super::pictures;
-use super::report::Report;
+use super::report::{MUST_PASS, Report};
 
 const PAGE: &str = "Egomotion (frame and imu to rotation)";
-const MUST_PASS: &str = "What a message must pass";
 
 /// Frames of the textured world.
 const FRAMES: u32 = 16;
@@ -28,7 +27,7 @@ const PERIOD_NS: i64 = 33_000_000;
 const PATIENCE: Duration = Duration::from_secs(3);
 /// A rotation farther from the truth is not this frame's, degrees.
 const FAR_OFF_DEG: f64 = 1.0;
-/// Of the textured world's rotations so many must be known.
+/// Share of the textured world's rotations that must be known.
 const LEAST_KNOWN: f64 = 0.8;
 /// Errors that are so much larger than stated, in the median, make the covariance a lie. 2.4 is
 /// right.

@@ -15,11 +15,10 @@ use flockeye_runtime::ports::{Publisher, Subscriber};
 use nalgebra::{Isometry3, Matrix6, Point3, Translation3, Unit, UnitQuaternion, Vector3};
 
 use super::bench::Bench;
-use super::report::Report;
+use super::report::{MUST_PASS, Report};
 
 const PAGE: &str = "Fusion (view, detection, frame_end, rotation to track, plan)";
 const TRACK_PAGE: &str = "Layout";
-const MUST_PASS: &str = "What a message must pass";
 
 /// Frames in which the body is seen.
 const FRAMES: u64 = 45;

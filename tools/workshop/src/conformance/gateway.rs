@@ -13,10 +13,9 @@ use flockeye_runtime::ports::Publisher;
 use nalgebra::UnitQuaternion;
 
 use super::bench::Bench;
-use super::report::Report;
+use super::report::{MUST_PASS, Report};
 
 const PAGE: &str = "Gateway (track to the network)";
-const MUST_PASS: &str = "What a message must pass";
 
 /// Poses of one test.
 const POSES: u64 = 40;

@@ -9,10 +9,7 @@ use flockeye_contract::{FrameStamp, MeasuredBy, Pose, Track, TrackHeader, TrackS
 use flockeye_runtime::clock;
 
 use super::bench::Bench;
-use super::report::Report;
-
-const OWES: &str = "What every stage owes";
-const MUST_PASS: &str = "What a message must pass";
+use super::report::{MUST_PASS, OWES, Report};
 
 /// Poses of the test.
 const POSES: u64 = 40;

@@ -17,12 +17,11 @@ use nalgebra::{UnitQuaternion, Vector3};
 
 use super::bench::Bench;
 use super::pictures;
-use super::report::Report;
+use super::report::{MUST_PASS, Report};
 
 mod malformed;
 
 const PAGE: &str = "Rectification (frame, plan, detection to view, frame_end)";
-const MUST_PASS: &str = "What a message must pass";
 
 /// Timeout for a frame from its publication to its end.
 const PATIENCE: Duration = Duration::from_secs(5);

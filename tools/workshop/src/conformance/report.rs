@@ -5,6 +5,11 @@ use std::fmt::Write;
 use flockeye_geometry::statistics::median;
 use serde::Serialize;
 
+/// The heading of docs/CONTRACT.md for all stages.
+pub(super) const OWES: &str = "What every stage owes";
+/// The heading of docs/CONTRACT.md for messages.
+pub(super) const MUST_PASS: &str = "What a message must pass";
+
 /// The checks of a test, and the candidate's figures.
 #[derive(Debug, Default, Serialize)]
 pub(crate) struct Report {

@@ -8,10 +8,9 @@ use flockeye_runtime::clock;
 use flockeye_runtime::ports::{Publisher, Subscriber};
 
 use super::bench::Bench;
-use super::report::Report;
+use super::report::{MUST_PASS, Report};
 
 const PAGE: &str = "A source (frame)";
-const MUST_PASS: &str = "What a message must pass";
 
 /// Frames of one test.
 const FRAMES: usize = 60;
