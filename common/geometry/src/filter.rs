@@ -63,7 +63,7 @@ impl Default for MotionModel {
     }
 }
 
-/// What the filter knows of a neighbour at one time.
+/// The state of a neighbour at one time.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Track {
     stamp_s: f64,
@@ -234,7 +234,7 @@ impl Track {
     }
 
     /// Where the neighbour will be at `at_s` (seconds, on the clock of the measurements) if it
-    /// keeps its velocity, seen by a camera that turns as `ego` says; the covariance says how sure that is.
+    /// keeps its velocity, seen by a camera that turns by `ego`. The covariance states the uncertainty.
     ///
     /// # Errors
     /// A time before the track's, more than [`MotionModel::longest_step_s`] after it, or no number.
@@ -277,9 +277,8 @@ impl Track {
         Ok(moved.turned(&ego.between(stamp_s, at_s)))
     }
 
-    /// Takes in a pose measured at `stamp_s` by a camera that turned as `ego` says, unless it lies outside
-    /// `gate`: the largest squared
-    /// Mahalanobis distance to pass (see [`chi_square_gate`]).
+    /// Takes in a pose measured at `stamp_s` by a camera that turned by `ego`, unless it lies outside
+    /// `gate`: the largest squared Mahalanobis distance to pass (see [`chi_square_gate`]).
     ///
     /// `covariance`: the measurement's: position (m), then rotation vector (rad), in the camera's
     /// axes.

@@ -18,7 +18,7 @@ use crate::rate::RateFilter;
 /// same.
 const LONGEST_STEP_S: f64 = 0.3;
 
-/// Over so long the inertial sensor's rate is averaged where the exposure is not known, seconds.
+/// Time over which the inertial sensor's rate is averaged where the exposure is not known, seconds.
 const RATE_WIDTH_S: f64 = 0.01;
 
 /// Follows the camera's rotation from frame to frame.

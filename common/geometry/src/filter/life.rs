@@ -268,7 +268,7 @@ impl LifeCycle {
         (stamp_s < newest_s - self.policy.history_s).then_some(newest_s)
     }
 
-    /// Whether a frame that comes so late says that the clock has jumped.
+    /// Whether a frame that comes so late shows that the clock has jumped.
     fn is_jump(&self, late_s: f64) -> bool {
         late_s > self.policy.coast_s.max(self.policy.history_s)
     }

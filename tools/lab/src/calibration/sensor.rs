@@ -17,12 +17,12 @@ const STEP_S: f64 = 0.005;
 const FEWEST: usize = 30;
 /// Steps of refinement. The closed form is within milliseconds and tenths of degrees already.
 const REFINEMENTS: usize = 5;
-/// A residual beyond so many deviations is taken for the picture's error and left out.
+/// Deviations beyond which a residual counts as the picture's error and is left out.
 const OUTLIER: f64 = 4.0;
 /// Share of the rates' variation that is left at least where sensor and picture do not belong together.
 const UNRELATED: f64 = 0.5;
 
-/// Mirrored axes that leave so many times less than proper ones are mirrored.
+/// Ratio by which mirrored axes must leave less than proper ones to count as mirrored.
 const MIRRORED: f64 = 4.0;
 
 /// What the picture shows between two frames.
