@@ -296,8 +296,10 @@ def evaluated(poses, truth, rotations=None):
 def flight_command(arguments, way, name, truth, instance="results"):
     """The command of one flight, and where it writes its poses, its truth and, if it is simulated, its rotations."""
     poses = WORK / f"{name}.csv"
-    profile = "repeat" if way == "lossless" else "flight"
-    command = ["up", *arguments, "--profile", profile, *quiet(instance), "--poses", str(poses)]
+    # A setting of the flight says better how it runs.
+    chosen = any(argument.startswith("profile=") for argument in arguments)
+    profile = [] if chosen else ["--profile", "repeat" if way == "lossless" else "flight"]
+    command = ["up", *arguments, *profile, *quiet(instance), "--poses", str(poses)]
     rotations = None
     if truth is None:
         truth, rotations = (WORK / f"{name}-{table}.csv" for table in ("truth", "rotations"))
@@ -314,7 +316,7 @@ def fly(*flight):
     if not counted:
         sys.exit(f"results: {shown(command)} does not say how many frames it searched")
     late = [line for line in done.stderr.splitlines() if re.search("not waited for any more|not ended in time", line)]
-    if late and "repeat" in command:
+    if late and "flight" not in command:
         # Then its poses depend on how busy the machine is.
         sys.exit(f"results: {shown(command)} gave somebody up:\n{late[0]}\nCure: fewer JOBS, or a less busy machine")
     return command, *files, [int(number) for number in counted.groups()]
