@@ -649,7 +649,7 @@ def prediction_lines(found):
     inside = lambda part: f"{100 * found['nees'][part]['inside_99']:.1f} %"
     return [f"- Predicted for the time of sending, {found['ahead_ms']['median']:.0f} ms (median) after "
             f"the exposure: position error {spread(found['position_mm'], ' mm', 1)}, "
-            f"{inside('position')} inside 99 %; rotation error {spread(found['rotation_deg'], '°', 2)}, "
+            f"{inside('position')} inside 99 %. Rotation error {spread(found['rotation_deg'], '°', 2)}, "
             f"{inside('rotation')} inside 99 %. The exposure's own pose taken for it would be off by "
             f"{spread(found['held_position_mm'], ' mm', 1)}."]
 
