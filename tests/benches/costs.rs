@@ -7,17 +7,18 @@
 
 use std::time::Instant;
 
-use flockeye_detection::{Detector, DetectorParameters, Found};
+use flockeye_contract::FrameOrder;
+use flockeye_detection::{Detector, DetectorParameters, MarkerInView};
 use flockeye_dictionary::Dictionary;
-use flockeye_fusion::{Aligner, Sought, Source, Start, TimeBudget};
+use flockeye_fusion::{Aligner, Sought, Start, StartSource, TimeBudget};
 use flockeye_geometry::body::{Bodies, Body, squares};
 use flockeye_geometry::camera::Camera;
 use flockeye_geometry::mask::Mask;
 use flockeye_geometry::partition::Partition;
-use flockeye_geometry::pose::{CornerRay, PoseOptions, PoseSolution, solve};
+use flockeye_geometry::pose::{CornerRay, PoseSolution, solve};
 use flockeye_geometry::view::View;
 use flockeye_imaging::align::Picture;
-use flockeye_imaging::edges::Effort;
+use flockeye_imaging::edges::CornerFit;
 use flockeye_imaging::gyroscope::Gyroscope;
 use flockeye_imaging::gyroscope::grid::Sampler;
 use flockeye_imaging::image::LumaImage;
@@ -25,7 +26,7 @@ use flockeye_imaging::light::{CodeRange, LinearLight, TransferCurve};
 use flockeye_imaging::proposals::{Detail, MarkerSizes, Proposer};
 use flockeye_imaging::sphere::{Cut, SphereImage};
 use flockeye_rectification::cpu::CpuRectifier;
-use flockeye_rectification::rectifier::{FrameKey, Rectifier as _};
+use flockeye_rectification::rectifier::Rectifier as _;
 use flockeye_simulator::{Attitude, Moment, Placement, World, WorldParameters};
 use nalgebra::{Isometry3, Translation3, Unit, UnitQuaternion, Vector3};
 
@@ -125,7 +126,8 @@ fn measure(distance_m: f64, rounds: u64, costs: &mut Costs) {
 
 /// Cuts all tiles, and searches each with one window.
 fn tiles(sphere: &SphereImage<'_>, camera: Camera, costs: &mut Costs) {
-    let parameters = DetectorParameters { effort: Effort::Edges, ..DetectorParameters::default() };
+    let parameters =
+        DetectorParameters { effort: CornerFit::Edges, ..DetectorParameters::default() };
     let windows = parameters.thresholds.clone();
     let mut detector = Detector::new(DICTIONARY, parameters).unwrap();
     let light = light();
@@ -153,7 +155,8 @@ fn region(
     let dictionary = Dictionary::of(bodies).unwrap();
     let direction = Unit::new_normalize(truth.translation.vector);
     let distance_m = truth.translation.vector.norm();
-    // Like the region of a tracked body: magnified until a marker of 5 cm has 80 px, three times at most.
+    // Like the region of a tracked body: magnified until a marker of 5 cm has 80 px, three times at
+    // most.
     let focal_px = (80.0 * distance_m / 0.05).min(3.0 * camera.pixels_per_radian());
     let field_rad = 0.4 / distance_m;
     let size_px = (2.0 * focal_px * (field_rad / 2.0).tan()).ceil() as u32;
@@ -176,10 +179,10 @@ fn region(
     let unknown = |_: &Isometry3<f64>| false;
     for _ in 0..rounds {
         timed(&mut costs.direct_pass, 1.0, || aligner.align(0, &picture, &Start::Fine(predicted)));
-        let from_corners = || -> Vec<(Source, Start)> {
-            let solutions = solve(body, &rays, &PoseOptions::default()).unwrap_or_default();
+        let from_corners = || -> Vec<(StartSource, Start)> {
+            let solutions = solve(body, &rays).unwrap_or_default();
             let start = |found: &PoseSolution| Start::Fine(found.camera_from_markers);
-            solutions.iter().take(3).map(|found| (Source::Corners, start(found))).collect()
+            solutions.iter().take(3).map(|found| (StartSource::Corners, start(found))).collect()
         };
         let (picture, budget) = (&picture, TimeBudget::OneFrame);
         timed(&mut costs.corner_pass, 1.0, || {
@@ -194,7 +197,7 @@ fn region(
     }
 }
 
-fn rays_of(found: &Found) -> impl Iterator<Item = CornerRay> {
+fn rays_of(found: &MarkerInView) -> impl Iterator<Item = CornerRay> {
     (0..4).map(|corner| CornerRay {
         marker_id: found.id,
         corner,
@@ -216,7 +219,7 @@ fn cut(
 ) -> (Vec<u8>, f64) {
     let mut out = vec![0; (view.size_px as usize).pow(2)];
     let megapixels = out.len() as f64 * 1e-6;
-    let key = FrameKey::default();
+    let key = FrameOrder::default();
     timed(times_ms, megapixels, || cpu.cut(key, sphere, &Cut::bilinear(view), &mut out)).unwrap();
     (out, megapixels)
 }

@@ -1,8 +1,9 @@
 //! Decisions: how often is a pose wrong that alignment found, by what the picture says for it?
 //!
-//! Bodies are aligned in pictures that show them, from the right pose, from mirror poses, from other attitudes, and with
-//! another body's print; and in pictures that do not show them. Prints what the decisions accept of right and of wrong
-//! poses, by distance, blur and light. `make results PARTS=decisions` keeps it.
+//! Bodies are aligned in pictures that show them, from the right pose, from mirror poses, from
+//! other attitudes, and with another body's print; and in pictures that do not show them. Prints
+//! what the decisions accept of right and of wrong poses, by distance, blur and light. `make
+//! results PARTS=decisions` keeps it.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used)]
 
 #[path = "decisions/chance.rs"]
@@ -28,7 +29,8 @@ const SAME_RAD: f64 = 0.2;
 const TURNS: usize = 3;
 /// Share of the facets by which a body is mirrored.
 const MIRRORS: f64 = 0.15;
-/// Places without a body that are tried in each picture as it is, and in each one that is exposed otherwise.
+/// Places without a body that are tried in each picture as it is, and in each one that is exposed
+/// otherwise.
 const PLACES: usize = 60;
 const PLACES_EXPOSED: usize = 6;
 /// Nobody is looked for so near to a body, radians.

@@ -1,6 +1,7 @@
 //! How long a frame takes from one process to the next, by the pipeline's own ports, and beside it
-//! the same bytes through a Unix domain socket, through Zenoh on loopback and, where `FLOCKEYE_DORA` is
-//! dora's command and `FLOCKEYE_DORA_HOP` the program of `tests/peers/dora`, through dora-rs.
+//! the same bytes through a Unix domain socket, through Zenoh on loopback and, where
+//! `FLOCKEYE_DORA` is dora's command and `FLOCKEYE_DORA_HOP` the program of `tests/peers/dora`,
+//! through dora-rs.
 //!
 //! Two real processes: this one sends, and starts itself again as the one that receives. A frame
 //! is written before its clock starts, by every way; what is measured is the way itself: to the
@@ -34,7 +35,8 @@ use zenoh::qos::CongestionControl;
 const MESSAGES: usize = 400;
 const WARM_UP: usize = 40;
 const PERIOD: Duration = Duration::from_millis(10);
-/// What each message of the socket, and of Zenoh, begins with: when it was sent, and how long it is.
+/// What each message of the socket, and of Zenoh, begins with: when it was sent, and how long it
+/// is.
 const HEADER: usize = 16;
 /// Where Zenoh's messages go.
 const KEY: &str = "flockeye/hop";

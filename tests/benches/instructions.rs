@@ -1,13 +1,14 @@
-//! Processor instructions of the cores on a recording: rectification, detection and fusion in one thread, in lossless
-//! order, without supervisor, processes or shared memory. Under valgrind's callgrind the count repeats.
+//! Processor instructions of the cores on a recording: rectification, detection and fusion in one
+//! thread, in lossless order, without supervisor, processes or shared memory. Under valgrind's
+//! callgrind the count repeats.
 //!
 //! ```sh
 //! make instructions      # the first 30 frames of flight1
 //! ```
 //!
-//! `decode VIDEO FRAMES FILE` writes decoded frames, `fly FILE VIDEO BODIES` flies them. Only [`fly`] is counted, so
-//! decoding, configuration and the reading of frames cost nothing. It prints how many poses came out, and a hash of
-//! them: builds with the same behaviour have the same.
+//! `decode VIDEO FRAMES FILE` writes decoded frames, `fly FILE VIDEO BODIES` flies them. Only
+//! [`fly`] is counted, so decoding, configuration and the reading of frames cost nothing. It prints
+//! how many poses came out, and a hash of them: builds with the same behaviour have the same.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used)]
 
 use std::collections::VecDeque;
@@ -16,19 +17,18 @@ use std::io::{BufWriter, Read, Write};
 use std::rc::Rc;
 use std::time::Duration;
 
-use flockeye_capture::core::{Core as Capture, FrameSettings};
-use flockeye_capture::{Event as SourceEvent, Source, SourceParameters};
+use flockeye_capture::core::Core as Capture;
+use flockeye_capture::{Event as SourceEvent, FrameSource, SourceParameters};
 use flockeye_config::{Pipeline, Resolved};
 use flockeye_contract::{DetectionHeader, FrameHeader, PixelFormat, Track, ViewHeader};
 use flockeye_convert::projection_of;
 use flockeye_detection::core::Core as Detection;
 use flockeye_fusion::{
-    BackgroundRunner, Configured, Event as FusionEvent, Outputs, Record, configured,
+    BackgroundRunner, Core as Fusion, Event as FusionEvent, Outputs, Record, Writer, configured,
 };
 use flockeye_rectification::core::{Action, Core as Rectification, CutOrder, Event};
 use flockeye_rectification::cpu::CpuRectifier;
 use flockeye_rectification::cutting::Cutter;
-use flockeye_rectification::standby::Standby;
 use flockeye_runtime::health::SharedCounters;
 
 fn main() {
@@ -49,7 +49,8 @@ fn main() {
     }
 }
 
-/// The default pipeline on a recording, as [`Cores`] runs it: one worker, one thread each, no other stages.
+/// The default pipeline on a recording, as [`Cores`] runs it: one worker, one thread each, no other
+/// stages.
 fn resolved(video: &str, bodies: Option<&str>) -> Resolved {
     let mut overrides = vec![
         "profile=repeat".to_owned(),
@@ -67,12 +68,13 @@ fn resolved(video: &str, bodies: Option<&str>) -> Resolved {
 
 type Decoded = (FrameHeader, Rc<Vec<u8>>);
 
-/// Writes the first frames of a video, each as its header and its luma plane, as capture publishes them.
+/// Writes the first frames of a video, each as its header and its luma plane, as capture publishes
+/// them.
 fn decode(video: &str, count: u64, file: &str) {
     let resolved = resolved(video, None);
     let parameters = SourceParameters::of(&resolved.pipeline);
-    let mut source = Source::open(video.parse().unwrap(), parameters).unwrap();
-    let mut capture = Capture::new(FrameSettings::of(&resolved, 0));
+    let mut source = FrameSource::open(video.parse().unwrap(), parameters).unwrap();
+    let mut capture = Capture::of(&resolved, 0);
     let mut out = BufWriter::new(File::create(file).unwrap());
     for _ in 0..count {
         let picture = loop {
@@ -82,7 +84,7 @@ fn decode(video: &str, count: u64, file: &str) {
                 _ => {}
             }
         };
-        let stream_ns = picture.time().stream_ns;
+        let stream_ns = picture.facts().stream_ns;
         let header = FrameHeader {
             stamp: capture.on_picture(&picture.facts(), stream_ns).0.stamp,
             width: picture.width(),
@@ -119,7 +121,8 @@ struct Cores {
     rectification: Rectification<Rc<Vec<u8>>>,
     cutter: Cutter,
     detection: Detection,
-    fusion: Configured<Vec<u8>>,
+    fusion: Fusion<Vec<u8>>,
+    writer: Writer,
     background: Option<BackgroundRunner>,
     /// The time that the cores see: that of the stream.
     now_ns: i64,
@@ -142,16 +145,15 @@ fn fly(cores: &mut Cores, frames: Vec<Decoded>) {
 
 impl Cores {
     fn new(resolved: &Resolved) -> Self {
-        let standby = Standby::new(Box::new(CpuRectifier::new(1)), 1, SharedCounters::default());
-        let fusion = configured(resolved, 0).unwrap();
-        let background =
-            fusion.has_background.then(|| BackgroundRunner::inline(fusion.aligner.clone()));
+        let (cpu, counters) = (Box::new(CpuRectifier::new(1)), SharedCounters::default());
+        let (fusion, writer, aligner) = configured(resolved, 0).unwrap();
         Self {
             rectification: Rectification::of(resolved, 0, 0).unwrap(),
-            cutter: Cutter::new(standby, resolved.camera),
+            cutter: Cutter::new(cpu, 1, counters, resolved.camera),
             detection: Detection::new(resolved, 0, 0).unwrap(),
             fusion,
-            background,
+            writer,
+            background: aligner.map(BackgroundRunner::inline),
             now_ns: 0,
             poses: 0,
             hash: 0xcbf2_9ce4_8422_2325,
@@ -174,7 +176,7 @@ impl Cores {
                 }
                 Action::Cut(order) => self.cut(&order),
                 Action::End(end) => {
-                    self.fusion.core.on(FusionEvent::FrameEnd(end), self.now_ns);
+                    self.fusion.on(FusionEvent::FrameEnd(end), self.now_ns);
                     self.fuse();
                 }
                 Action::Wait(_) => return,
@@ -189,13 +191,11 @@ impl Cores {
         self.cutter.cut(frame, luma, order, &mut pixels).unwrap();
         let header = ViewHeader { issued_ns: self.now_ns, ..order.header };
         self.rectification.on(Event::Published { header, took_ns: 0 }, self.now_ns);
-        let found = self.detection.on_view(&header, &pixels).unwrap();
-        assert!(found.failure.is_none());
-        let answer =
-            DetectionHeader { received_ns: self.now_ns, sent_ns: self.now_ns, ..found.header };
-        self.fusion.core.on(FusionEvent::View(header, pixels), self.now_ns);
-        let record = Record { header: answer, markers: found.markers };
-        self.fusion.core.on(FusionEvent::Searched(record), self.now_ns);
+        let (found, markers) = self.detection.on_view(&header, &pixels).unwrap();
+        let answer = DetectionHeader { received_ns: self.now_ns, sent_ns: self.now_ns, ..found };
+        self.fusion.on(FusionEvent::View(header, pixels), self.now_ns);
+        let record = Record { header: answer, markers: markers.unwrap() };
+        self.fusion.on(FusionEvent::Searched(record), self.now_ns);
         self.rectification.on(Event::Answer(answer), self.now_ns);
         self.fuse();
     }
@@ -205,16 +205,16 @@ impl Cores {
         let mut answers = VecDeque::new();
         loop {
             if let Some(answer) = answers.pop_front() {
-                self.fusion.core.on(FusionEvent::Background(answer), self.now_ns);
+                self.fusion.on(FusionEvent::Background(answer), self.now_ns);
             }
-            let Outputs { tracks, plan, job, is_idle, .. } = self.fusion.core.step(self.now_ns);
+            let Outputs { tracks, plan, job, is_idle, .. } = self.fusion.step(self.now_ns);
             for message in &tracks {
-                let tracker = self.fusion.core.tracker();
-                let (_, tracks) = self.fusion.writer.tracks(message, tracker, self.now_ns);
+                let tracker = self.fusion.tracker();
+                let (_, tracks) = self.writer.tracks(message, tracker, self.now_ns);
                 tracks.iter().for_each(|track| self.note(track));
             }
             if let Some((next, after)) = &plan {
-                let (header, views) = self.fusion.writer.plan(next, *after, self.now_ns);
+                let (header, views) = self.writer.plan(next, *after, self.now_ns);
                 self.rectification.on(Event::Plan(header, views), self.now_ns);
             }
             if let (Some(job), Some(runner)) = (job, &mut self.background) {

@@ -1,9 +1,9 @@
-//! Places: what a search in any attitude finds of bodies of which only a rough place is known, and what it finds where
-//! nobody is.
+//! Places: what a search in any attitude finds of bodies of which only a rough place is known, and
+//! what it finds where nobody is.
 //!
-//! Prints how many bodies it finds in simulated pictures of any light and in recorded ones, beside what alignment finds
-//! from the right pose; and how often the best pose at a place without a body has log odds above x.
-//! `make results PARTS=places` keeps it.
+//! Prints how many bodies it finds in simulated pictures of any light and in recorded ones, beside
+//! what alignment finds from the right pose; and how often the best pose at a place without a body
+//! has log odds above x. `make results PARTS=places` keeps it.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used)]
 
 #[allow(dead_code, reason = "the bench of decisions uses more of it")]

@@ -1,5 +1,6 @@
-//! Proposals: what they cost in each frame, and among how many of them the bodies are that a frame shows.
-//! Prints a table for simulated gusts and for each recording. `make results PARTS=proposals` keeps it.
+//! Proposals: what they cost in each frame, and among how many of them the bodies are that a frame
+//! shows. Prints a table for simulated gusts and for each recording. `make results PARTS=proposals`
+//! keeps it.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used)]
 
 #[path = "shared/frames.rs"]

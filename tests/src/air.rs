@@ -1,8 +1,8 @@
 //! A radio between network namespaces that loses, delays and cuts.
 //!
-//! Each station is a namespace with an interface `radio` of its own. A small program in it passes packets on to
-//! [`Air`] and back, over Unix sockets. So any program in a station uses the kernel's own TCP, and nothing
-//! else of the machine's network.
+//! Each station is a namespace with an interface `radio` of its own. A small program in it passes
+//! packets on to [`Air`] and back, over Unix sockets. So any program in a station uses the kernel's
+//! own TCP, and nothing else of the machine's network.
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
@@ -63,7 +63,8 @@ pub struct Air {
 }
 
 impl Air {
-    /// Sets up so many stations in clear weather. `None` where this user may not have namespaces, and says so.
+    /// Sets up so many stations in clear weather. `None` where this user may not have namespaces,
+    /// and says so.
     pub fn between(count: usize) -> Option<Self> {
         let folder = Scratch::new("air");
         let socket = UnixDatagram::bind(folder.path("air")).expect("a socket can be bound");
@@ -168,8 +169,8 @@ struct OnTheWay {
 /// When it arrives, its number, for whom it is, and its bytes.
 type Packet = (Instant, u64, usize, Vec<u8>);
 
-/// Takes packets from the stations' socket, and lets them wait as the weather is. It never waits for a station: one
-/// whose packets are not taken does not take any.
+/// Takes packets from the stations' socket, and lets them wait as the weather is. It never waits
+/// for a station: one whose packets are not taken does not take any.
 fn take(
     socket: &UnixDatagram,
     stations: usize,

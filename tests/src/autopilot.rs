@@ -9,14 +9,15 @@ use mavlink::dialects::common::{
 };
 use mavlink::{Connectable, Connection, MavConnection, MavHeader, UdpConfig, UdpMode};
 
-/// An autopilot that sends `HIGHRES_IMU` 200 times a second until it is dropped: of a drone that yaws as the
-/// simulated one, times a factor in percent that can be changed.
+/// An autopilot that sends `HIGHRES_IMU` 200 times a second until it is dropped: of a drone that
+/// yaws as the simulated one, times a factor in percent that can be changed.
 pub struct SimulatedAutopilot {
     percent: Arc<AtomicU32>,
     thread: Option<std::thread::JoinHandle<()>>,
 }
 
-/// One column of the picture in each frame: in calm air the simulated backdrop turns by whole columns.
+/// One column of the picture in each frame: in calm air the simulated backdrop turns by whole
+/// columns.
 pub const YAW_DEG_S: f32 = 360.0 / 1024.0 * 30.0;
 
 /// Ends the thread.

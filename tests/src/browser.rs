@@ -168,8 +168,8 @@ const START: Duration = Duration::from_secs(60);
 /// How long it may take to end by itself.
 const END: Duration = Duration::from_secs(10);
 
-/// Starts a browser. Its process, its profile, and its port with the path of its socket; what it wrote if it says
-/// none.
+/// Starts a browser. Its process, its profile, and its port with the path of its socket; what it
+/// wrote if it says none.
 fn launch(program: &Path) -> Result<(Beside, Scratch, (u16, String)), String> {
     let profile = Scratch::new("browser");
     let complaints = profile.path("stderr");
@@ -178,7 +178,8 @@ fn launch(program: &Path) -> Result<(Beside, Scratch, (u16, String)), String> {
     // WebGL by the processor, which is there everywhere.
     command.args(["--use-angle=swiftshader", "--enable-unsafe-swiftshader"]);
     command.args(["--no-first-run", "--window-size=1000,700"]);
-    // Nothing but the page: no updates, no crash reports, no look at the desktop or the network outside.
+    // Nothing but the page: no updates, no crash reports, no look at the desktop or the network
+    // outside.
     command.args([
         "--disable-background-networking",
         "--disable-component-update",

@@ -1,5 +1,5 @@
-//! Drones at the stations of a radio ([`crate::air`]): pipelines with their real gateways, whose fusion says what it is
-//! told. So no camera is simulated, and eight of them fit on two processors.
+//! Drones at the stations of a radio ([`crate::air`]): pipelines with their real gateways, whose
+//! fusion says what it is told. So no camera is simulated, and eight of them fit on two processors.
 
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -222,11 +222,13 @@ pub fn pair(air: &Air, swarm: &str) -> Vec<Drone> {
 pub struct Recovery {
     /// From its end until each has heard the other.
     pub heard_after: Duration,
-    /// The longest time from one of fusion's messages to the next: in bad weather, in the cut and after it.
+    /// The longest time from one of fusion's messages to the next: in bad weather, in the cut and
+    /// after it.
     pub fusion_pause: Duration,
 }
 
-/// Two drones in bad weather, then without a radio for as long as `cut`, and then in the weather `after`.
+/// Two drones in bad weather, then without a radio for as long as `cut`, and then in the weather
+/// `after`.
 pub fn cut(air: &Air, drones: &[Drone], cut: Duration, after: Weather) -> Recovery {
     let hear = |since: Instant| drones.iter().all(|drone| drone.ear.heard_since(since) == 1);
     air.set(Weather::BAD);

@@ -18,6 +18,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
+use anyhow::Context as _;
 pub use flockeye_require::{VULKAN, absent, recordings};
 use flockeye_runtime::instance::Instance;
 use rustix::process::{Pid, Signal, kill_process};
@@ -75,6 +76,14 @@ pub const SMALL_FLIGHT: &[&str] = &[
     "gateway.enabled=false",
 ];
 
+/// What is said of the neighbour once it is tracked.
+pub const POSES_FLOW: &str = "alpha confirmed";
+
+/// The settings of a small flight, and more.
+pub fn small_flight<'a>(more: &[&'a str]) -> Vec<&'a str> {
+    SMALL_FLIGHT.iter().chain(more).copied().collect()
+}
+
 /// `flockeye up` in a process of its own.
 pub struct Flight {
     /// Its instance.
@@ -90,7 +99,14 @@ impl Flight {
         Self::start_as(&unique(name), arguments, set)
     }
 
-    /// The same under a given instance name.
+    /// Starts it as [`Flight::start`] does, and waits until the neighbour is tracked.
+    pub fn with_poses(name: &str, arguments: &[&str], set: &[&str]) -> Self {
+        let mut flight = Self::start(name, arguments, set);
+        flight.wait_for(POSES_FLOW);
+        flight
+    }
+
+    /// As [`Flight::start`], under a given instance name.
     pub fn start_as(instance: &str, arguments: &[&str], set: &[&str]) -> Self {
         let mut command = Command::new(flockeye());
         command.arg("up").args(arguments);
@@ -208,7 +224,35 @@ impl Flight {
         }
     }
 
+    /// Waits for the end, which must be a good one that leaves nothing.
+    #[track_caller]
+    pub fn assert_ends_well(&mut self) {
+        assert!(self.wait().success(), "{}", self.output());
+        self.assert_nothing_left();
+    }
+
+    /// Sends the launcher a signal that ends the pipeline well.
+    #[track_caller]
+    pub fn end_by(&mut self, signal: Signal) {
+        self.signal(signal);
+        self.assert_ends_well();
+    }
+
+    /// Runs a command of `flockeye` on this instance: whether it succeeded, and all that it wrote.
+    pub fn ask(&self, arguments: &[&str]) -> (bool, String) {
+        ask(self.instance.name(), arguments)
+    }
+
+    /// Ends it by `flockeye stop`.
+    #[track_caller]
+    pub fn stop(mut self) {
+        let (succeeded, output) = self.ask(&["stop"]);
+        assert!(succeeded && output.contains("the pipeline ends"), "{output}");
+        self.assert_ends_well();
+    }
+
     /// Fails if the instance left a file in shared memory or in its folder.
+    #[track_caller]
     pub fn assert_nothing_left(&self) {
         let left = self.instance.shared_memory();
         assert!(left.is_empty(), "left in /dev/shm: {left:?}\n{}", self.output());
@@ -271,6 +315,29 @@ pub fn run(arguments: &[&str]) -> (bool, String) {
     let mut flight = Flight::launch(&unique("run"), command);
     let status = flight.wait();
     (status.success(), flight.output())
+}
+
+/// User and system time of a process, clock ticks.
+pub fn ticks_of(pid: u32) -> anyhow::Result<f64> {
+    let stat = std::fs::read_to_string(format!("/proc/{pid}/stat"))?;
+    // After the name, which may hold blanks: user and system time are the 12th and 13th.
+    let fields = stat.rsplit_once(')').context("no such line")?.1;
+    let ticks = fields.split_whitespace().skip(11).take(2).map(str::parse::<f64>);
+    Ok(ticks.sum::<Result<f64, _>>()?)
+}
+
+/// Runs a command of `flockeye` on an instance: whether it succeeded, and all that it wrote.
+pub fn ask(instance: &str, arguments: &[&str]) -> (bool, String) {
+    let (command, rest) = arguments.split_first().expect("a command");
+    run(&[&[*command, "--instance", instance], rest].concat())
+}
+
+/// Runs `flockeye` with these arguments, which must succeed, and gives all that it wrote.
+#[track_caller]
+pub fn succeeds(arguments: &[&str]) -> String {
+    let (succeeded, output) = run(arguments);
+    assert!(succeeded, "{output}");
+    output
 }
 
 fn collect(stream: impl Read + Send + 'static, lines: Arc<Mutex<Vec<String>>>) -> JoinHandle<()> {

@@ -34,7 +34,8 @@ fn retry<R>(flight: &mut Flight, mut attempt: impl FnMut(&Flight) -> Option<R>) 
     }
 }
 
-/// A simulated flight whose source waits until a gate opens: what came before an onlooker is not kept for anybody.
+/// A simulated flight whose source waits until a gate opens: what came before an onlooker is not
+/// kept for anybody.
 pub struct Gated {
     /// The flight.
     pub flight: Flight,
@@ -63,7 +64,8 @@ impl Gated {
     }
 }
 
-/// Everything that egomotion, fusion and rectification said of a simulated flight's frames, and the truth.
+/// Everything that egomotion, fusion and rectification said of a simulated flight's frames, and the
+/// truth.
 pub struct Tape {
     /// The messages of `track`, in the order in which they came.
     pub tracks: Vec<(TrackHeader, Vec<Track>)>,

@@ -1,5 +1,5 @@
-//! Pipelines without a camera, whose fusion (`told-fusion`) says what it is told. So their real gateways fit many times
-//! on one machine.
+//! Pipelines without a camera, whose fusion (`told-fusion`) says what it is told. So their real
+//! gateways fit many times on one machine.
 
 use crate::flockeye;
 

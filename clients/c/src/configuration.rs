@@ -9,7 +9,7 @@ use flockeye_runtime::instance::FOLDER_VARIABLE;
 use serde_json::Value;
 
 /// The configuration as the instance's `pipeline.json` has it, and its bodies.
-pub(crate) struct Configuration {
+pub(crate) struct StageConfiguration {
     json: CString,
     values: Value,
     dictionary: CString,
@@ -19,7 +19,7 @@ pub(crate) struct Configuration {
     targets: BTreeMap<u32, u32>,
 }
 
-impl Configuration {
+impl StageConfiguration {
     /// Reads the configuration of the instance that the launcher's environment names.
     pub(crate) fn read(context: &flockeye_runtime::Context) -> anyhow::Result<Self> {
         let folder = std::env::var_os(FOLDER_VARIABLE).unwrap_or_default();

@@ -1,7 +1,9 @@
-//! `libflockeye_stage`: stages in C and in whatever calls C, over the runtime that Flockeye's own stages have.
+//! `libflockeye_stage`: stages in C and in whatever calls C, over the runtime that Flockeye's own
+//! stages have.
 //!
-//! The header `include/flockeye/stage.h` says what each function does and what its caller owes. Everything
-//! here is `unsafe` for that reason alone: C hands over pointers, and promises in the header what they are.
+//! The header `include/flockeye/stage.h` says what each function does and what its caller owes.
+//! Everything here is `unsafe` for that reason alone: C hands over pointers, and promises in the
+//! header what they are.
 //!
 //! | module | what it does |
 //! | --- | --- |

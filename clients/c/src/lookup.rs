@@ -5,13 +5,13 @@ use std::ffi::{CStr, CString, c_char, c_int};
 use anyhow::{Context, ensure};
 use flockeye_contract::NONE;
 
-use crate::configuration::Configuration;
+use crate::configuration::StageConfiguration;
 use crate::failure::{self, OK};
 use crate::stage::{FlockeyeStage, known, text_of};
 
 /// # Safety
 /// `stage` is open.
-unsafe fn configuration<'a>(stage: *const FlockeyeStage) -> &'a Configuration {
+unsafe fn configuration<'a>(stage: *const FlockeyeStage) -> &'a StageConfiguration {
     // SAFETY: the caller's promise.
     &unsafe { known(stage) }.configuration
 }

@@ -1,7 +1,7 @@
 //! Subscribers and publishers of any topic, by name.
 //!
-//! In Rust each topic has types of its own. In C a message is a header and items in memory, whose types follow
-//! from the topic's name as `contract.h` says.
+//! In Rust each topic has types of its own. In C a message is a header and items in memory, whose
+//! types follow from the topic's name as `contract.h` says.
 
 use std::any::Any;
 use std::ffi::{c_char, c_int, c_void};
@@ -47,8 +47,8 @@ impl<T: Topic + 'static> AnySubscriber for flockeye_runtime::ports::Subscriber<T
         let message = flockeye_runtime::ports::Subscriber::receive(self)?;
         Ok(message.map(|message| {
             let (items, count) = (message.items().as_ptr().cast(), message.items().len());
-            // In a box of its own, which nothing moves or borrows until it is released, the header stays where
-            // it is.
+            // In a box of its own, which nothing moves or borrows until it is released, the header
+            // stays where it is.
             let header = Box::into_raw(Box::new(message.header));
             let owner = into_owner(Box::new(Kept::<T> { header, _message: message }));
             FlockeyeMessage { header: header.cast(), items, count, owner }
@@ -107,7 +107,7 @@ impl<T: Topic + 'static> AnyPublisher for Publisher<T> {
     }
 
     fn update_connections(&self) -> Result<(), PortError> {
-        Ok(Publisher::update_connections(self)?)
+        Publisher::update_connections(self)
     }
 
     fn item_bytes(&self) -> usize {
@@ -145,14 +145,14 @@ impl AnyPort for FlockeyePublisher {
 }
 
 /// Opens the port of the topic with this name.
-struct Opening<'a, P> {
+struct PortOpening<'a, P> {
     ports: &'a mut Ports,
     topic: &'a str,
     lane: usize,
     opened: Option<P>,
 }
 
-impl<P: AnyPort> TopicVisitor for Opening<'_, P> {
+impl<P: AnyPort> TopicVisitor for PortOpening<'_, P> {
     type Error = PortError;
 
     fn visit<T: Topic + 'static>(&mut self) -> Result<(), PortError> {
@@ -172,7 +172,7 @@ unsafe fn open<P: AnyPort>(
 ) -> anyhow::Result<P> {
     // SAFETY: the caller's promise.
     let (topic, ports) = unsafe { (text_of(topic)?, FlockeyeStage::ports(stage)?) };
-    let mut opening = Opening { ports, topic, lane: lane as usize, opened: None };
+    let mut opening = PortOpening { ports, topic, lane: lane as usize, opened: None };
     visit_topics(&mut opening)?;
     opening.opened.with_context(|| {
         let names: Vec<_> = TOPICS.iter().map(|topic| topic.name).collect();
@@ -258,7 +258,8 @@ pub unsafe extern "C" fn flockeye_receive(
 /// Gives a message's memory back.
 ///
 /// # Safety
-/// `message` is of [`flockeye_receive`] or was released before, and its header and items are not used any more.
+/// `message` is of [`flockeye_receive`] or was released before, and its header and items are not
+/// used any more.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn flockeye_release(message: *mut FlockeyeMessage) {
     // SAFETY: the caller's promise.
@@ -291,7 +292,8 @@ pub unsafe extern "C" fn flockeye_loan_items(
 /// Sends a loan under this header; see `stage.h`.
 ///
 /// # Safety
-/// `publisher` is open, `loan` is of [`flockeye_loan_items`], and `header` points to the topic's header.
+/// `publisher` is open, `loan` is of [`flockeye_loan_items`], and `header` points to the topic's
+/// header.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn flockeye_send_loan(
     publisher: *const FlockeyePublisher,
@@ -338,7 +340,8 @@ pub unsafe extern "C" fn flockeye_send(
     let sent = publisher.0.loan(count).map_err(anyhow::Error::from).and_then(|loan| {
         if count > 0 {
             let bytes = count * publisher.0.item_bytes();
-            // SAFETY: the loan has room for so many items, which are the caller's, and the two are apart.
+            // SAFETY: the loan has room for so many items, which are the caller's, and the two are
+            // apart.
             unsafe { std::ptr::copy_nonoverlapping(items.cast::<u8>(), loan.items.cast(), bytes) };
         }
         // SAFETY: it was just made, and nobody else has it.

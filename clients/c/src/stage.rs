@@ -10,10 +10,10 @@ use flockeye_runtime::health::{Identity, SharedCounters};
 use flockeye_runtime::listening::Listening;
 use flockeye_runtime::logs::{self, Throttle};
 use flockeye_runtime::ports::Ports;
-use flockeye_runtime::stage::StageProcess;
+use flockeye_runtime::stage::StageRuntime;
 use flockeye_runtime::{Step, clock};
 
-use crate::configuration::Configuration;
+use crate::configuration::StageConfiguration;
 use crate::failure::{self, OK};
 
 /// A function that handles what waits. Anything but 0 ends the stage with an error.
@@ -22,13 +22,13 @@ pub type StepFunction = unsafe extern "C" fn(context: *mut c_void) -> c_int;
 /// A stage that has joined its pipeline. One thread uses it.
 pub struct FlockeyeStage {
     // The two are borrowed apart: while the loop has the process, the step asks for what is known.
-    process: StageProcess,
+    process: StageRuntime,
     known: Known,
 }
 
 /// What a step may ask for.
 pub(crate) struct Known {
-    pub(crate) configuration: Configuration,
+    pub(crate) configuration: StageConfiguration,
     identity: Identity,
     counters: SharedCounters,
     listening: Rc<Listening>,
@@ -40,10 +40,10 @@ pub(crate) struct Known {
 impl FlockeyeStage {
     fn join(name: &str) -> anyhow::Result<Self> {
         logs::init();
-        let process = StageProcess::join(name)?;
+        let process = StageRuntime::join(name)?;
         let context = &process.context;
         let known = Known {
-            configuration: Configuration::read(context)?,
+            configuration: StageConfiguration::read(context)?,
             identity: context.identity.clone(),
             counters: context.counters.clone(),
             listening: process.ports.listening(),

@@ -6,7 +6,7 @@ use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::thread::{self, Builder, JoinHandle};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
-use flockeye_config::MavlinkAddress;
+use flockeye_config::{Autopilot, MavlinkAddress};
 use flockeye_runtime::backoff::Backoff;
 use flockeye_runtime::clock;
 use flockeye_runtime::logs::Throttle;
@@ -15,10 +15,8 @@ use mavlink::MavHeader;
 use crate::core::Core;
 use crate::error::AutopilotError;
 use crate::link::{self, LineReader, LineWriter};
-use crate::messages::WireClock;
 use crate::neighbour::NeighbourState;
 use crate::odometry::OdometryState;
-use crate::parameters::AutopilotParameters;
 use crate::timesync::TimeOffset;
 use flockeye_runtime::lock::lock;
 
@@ -29,10 +27,11 @@ const STEADY: Duration = Duration::from_secs(5);
 /// The longest that the thread that sends waits.
 const LONGEST_WAIT: Duration = Duration::from_millis(100);
 
-/// The drone's autopilot, until dropped. Threads of its own send and receive; no method waits for the line.
+/// The drone's autopilot, until dropped. Threads of its own send and receive; no method waits for
+/// the line.
 #[derive(Debug)]
-pub struct Autopilot {
-    shared: Arc<Shared>,
+pub struct AutopilotLine {
+    state: Arc<LineState>,
     thread: Option<JoinHandle<()>>,
 }
 
@@ -53,9 +52,12 @@ pub struct AutopilotStatus {
     pub received: u64,
 }
 
-/// What the threads share.
+/// What the caller and the threads share.
 #[derive(Debug)]
-struct Shared {
+struct LineState {
+    address: MavlinkAddress,
+    system_id: u8,
+    component_id: u8,
     core: Mutex<Core>,
     /// Something is to be sent sooner, or the threads shall stop.
     changed: Condvar,
@@ -66,20 +68,23 @@ struct Shared {
     received: AtomicU64,
 }
 
-impl Autopilot {
+impl AutopilotLine {
     /// Begins to talk to the autopilot. A line that is not there is tried again in the background.
     ///
     /// # Errors
-    /// [`AutopilotError::Parameter`] for parameters that cannot work, [`AutopilotError::Thread`] where the system
-    /// gives no thread.
-    pub fn open(parameters: &AutopilotParameters) -> Result<Self, AutopilotError> {
-        parameters.check()?;
-        let address = parameters.address()?;
+    /// [`AutopilotError::Link`] for an address that is none, [`AutopilotError::Thread`] where the
+    /// system gives no thread. The other settings are checked with the configuration.
+    pub fn open(settings: &Autopilot) -> Result<Self, AutopilotError> {
+        let address = MavlinkAddress::parse(&settings.link)
+            .map_err(|reason| AutopilotError::Link { found: settings.link.clone(), reason })?;
         let utc = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
         let utc_ns = i64::try_from(utc.as_nanos()).unwrap_or(i64::MAX);
-        let wire_clock = WireClock::new(utc_ns, clock::monotonic_ns());
-        let shared = Arc::new(Shared {
-            core: Mutex::new(Core::new(parameters.clone(), wire_clock)),
+        let utc_less_monotonic_ns = utc_ns.saturating_sub(clock::monotonic_ns());
+        let state = Arc::new(LineState {
+            address,
+            system_id: settings.system_id,
+            component_id: settings.component_id,
+            core: Mutex::new(Core::new(settings.clone(), utc_less_monotonic_ns)),
             changed: Condvar::new(),
             is_stopping: AtomicBool::new(false),
             is_open: AtomicBool::new(false),
@@ -87,59 +92,54 @@ impl Autopilot {
             dropped: AtomicU64::new(0),
             received: AtomicU64::new(0),
         });
-        let link = Link {
-            address,
-            system_id: parameters.system_id,
-            component_id: parameters.component_id,
-            shared: shared.clone(),
-        };
+        let line = state.clone();
         let name = "autopilot";
         let thread = Builder::new()
             .name(name.into())
-            .spawn(move || link.run())
+            .spawn(move || line.run())
             .map_err(|source| AutopilotError::Thread { name, source })?;
-        Ok(Self { shared, thread: Some(thread) })
+        Ok(Self { state, thread: Some(thread) })
     }
 
-    /// Sends the autopilot a neighbour's state as soon as its rate and the line allow; a newer state of the same
-    /// neighbour replaces one that has not been sent. Returns at once.
+    /// Sends the autopilot a neighbour's state as soon as its rate and the line allow; a newer
+    /// state of the same neighbour replaces one that has not been sent. Returns at once.
     ///
     /// # Errors
     /// [`AutopilotError::Neighbour`] for a state that no autopilot could use,
     /// [`AutopilotError::TooManyNeighbours`] where 64 others are seen.
     pub fn neighbour(&self, state: &NeighbourState) -> Result<(), AutopilotError> {
-        lock(&self.shared.core).on_neighbour(state, clock::monotonic_ns())?;
-        self.shared.changed.notify_all();
+        lock(&self.state.core).on_neighbour(state, clock::monotonic_ns())?;
+        self.state.changed.notify_all();
         Ok(())
     }
 
     /// How this drone moves by the autopilot's newest estimate; each once.
     pub fn take_odometry(&self) -> Option<OdometryState> {
-        lock(&self.shared.core).take_odometry()
+        lock(&self.state.core).take_odometry()
     }
 
     /// What is known of the line.
     pub fn status(&self) -> AutopilotStatus {
         let now_ns = clock::monotonic_ns();
         let (is_heard, time_offset) = {
-            let core = lock(&self.shared.core);
+            let core = lock(&self.state.core);
             (core.is_heard(now_ns), core.time_offset(now_ns))
         };
         AutopilotStatus {
-            is_open: self.shared.is_open.load(Relaxed),
+            is_open: self.state.is_open.load(Relaxed),
             is_heard,
             time_offset,
-            sent: self.shared.sent.load(Relaxed),
-            dropped: self.shared.dropped.load(Relaxed),
-            received: self.shared.received.load(Relaxed),
+            sent: self.state.sent.load(Relaxed),
+            dropped: self.state.dropped.load(Relaxed),
+            received: self.state.received.load(Relaxed),
         }
     }
 }
 
-impl Drop for Autopilot {
+impl Drop for AutopilotLine {
     /// Ends the threads, which takes a fifth of a second at most.
     fn drop(&mut self) {
-        self.shared.stop();
+        self.state.stop();
         if let Some(thread) = self.thread.take()
             && thread.join().is_err()
         {
@@ -148,7 +148,7 @@ impl Drop for Autopilot {
     }
 }
 
-impl Shared {
+impl LineState {
     fn stop(&self) {
         // With the lock, or a thread that is about to wait would miss it.
         let core = lock(&self.core);
@@ -170,22 +170,13 @@ impl Shared {
             core = self.changed.wait_timeout(core, left).unwrap_or_else(PoisonError::into_inner).0;
         }
     }
-}
 
-/// The threads' side.
-struct Link {
-    address: MavlinkAddress,
-    system_id: u8,
-    component_id: u8,
-    shared: Arc<Shared>,
-}
-
-impl Link {
-    /// Opens the line again and again. What is wrong with it is said once, until it has worked again.
+    /// Opens the line again and again. What is wrong with it is said once, until it has worked
+    /// again.
     fn run(&self) {
         let mut backoff = Backoff::new(RETRY[0], RETRY[1]);
         let mut is_said = false;
-        while !self.shared.is_stopping() {
+        while !self.is_stopping() {
             let opened = Instant::now();
             let lost = link::open(&self.address).and_then(|(reader, writer)| {
                 tracing::info!("the line to the autopilot, {}, is open", self.address);
@@ -204,14 +195,14 @@ impl Link {
                     self.address
                 );
             }
-            self.shared.pause(backoff.after_failure());
+            self.pause(backoff.after_failure());
         }
     }
 
     /// Talks until the line is lost, or the threads shall stop.
     fn serve(&self, mut reader: LineReader, mut writer: LineWriter) -> io::Result<()> {
-        lock(&self.shared.core).on_line();
-        self.shared.is_open.store(true, Relaxed);
+        lock(&self.core).on_line();
+        self.is_open.store(true, Relaxed);
         let is_over = AtomicBool::new(false);
         let served = thread::scope(|scope| {
             let reading = Builder::new().name("autopilot-in".into()).spawn_scoped(scope, || {
@@ -224,25 +215,25 @@ impl Link {
             let read = reading.join().unwrap_or_else(|_| Err(io::Error::other("a panic")));
             written.and(read)
         });
-        self.shared.is_open.store(false, Relaxed);
+        self.is_open.store(false, Relaxed);
         served
     }
 
     fn read(&self, reader: &mut LineReader, is_over: &AtomicBool) -> io::Result<()> {
         let mut has_warned = false;
-        while !self.shared.is_stopping() && !is_over.load(Relaxed) {
+        while !self.is_stopping() && !is_over.load(Relaxed) {
             reader.read(&mut |sender, message| {
                 let arrived_ns = clock::monotonic_ns();
-                let mut core = lock(&self.shared.core);
+                let mut core = lock(&self.core);
                 let is_autopilot = core.on_message(sender, message, arrived_ns);
                 let has_news = core.next_due_ns(arrived_ns) <= arrived_ns;
                 let other = core.other_system();
                 drop(core);
                 if is_autopilot {
-                    self.shared.received.fetch_add(1, Relaxed);
+                    self.received.fetch_add(1, Relaxed);
                 }
                 if has_news {
-                    self.shared.changed.notify_all();
+                    self.changed.notify_all();
                 }
                 if let Some(other) = other
                     && !std::mem::replace(&mut has_warned, true)
@@ -267,15 +258,15 @@ impl Link {
             sequence: 0,
         };
         let mut drops = Throttle::default();
-        while !self.shared.is_stopping() && !is_over.load(Relaxed) {
+        while !self.is_stopping() && !is_over.load(Relaxed) {
             for message in self.due() {
                 let frame = message.frame(header);
                 if writer.write(frame.raw_bytes())? {
                     header.sequence = header.sequence.wrapping_add(1);
-                    self.shared.sent.fetch_add(1, Relaxed);
+                    self.sent.fetch_add(1, Relaxed);
                     continue;
                 }
-                self.shared.dropped.fetch_add(1, Relaxed);
+                self.dropped.fetch_add(1, Relaxed);
                 if matches!(self.address, MavlinkAddress::Serial { .. })
                     && let Some(more) = drops.admit()
                 {
@@ -294,17 +285,26 @@ impl Link {
 
     /// Waits for something to send.
     fn due(&self) -> Vec<crate::messages::Outgoing> {
-        let mut core = lock(&self.shared.core);
+        let mut core = lock(&self.core);
         let now_ns = clock::monotonic_ns();
         let wait = clock::until(core.next_due_ns(now_ns), now_ns).min(LONGEST_WAIT);
-        if !wait.is_zero() && !self.shared.is_stopping() {
-            core = self
-                .shared
-                .changed
-                .wait_timeout(core, wait)
-                .unwrap_or_else(PoisonError::into_inner)
-                .0;
+        if !wait.is_zero() && !self.is_stopping() {
+            core = self.changed.wait_timeout(core, wait).unwrap_or_else(PoisonError::into_inner).0;
         }
         core.due(clock::monotonic_ns())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_address_that_cannot_work_is_refused_with_its_cure() {
+        let settings = Autopilot { link: "udpin:14540".into(), ..Autopilot::default() };
+        let error = AutopilotLine::open(&settings).map(drop).map_err(|error| error.to_string());
+        assert!(error.is_err_and(|error| {
+            error.starts_with("link: 'udpin:14540'") && error.contains("udpin:0.0.0.0")
+        }));
     }
 }

@@ -1,8 +1,8 @@
 //! Between the axes of MAVLink and those of REP-103.
 //!
-//! MAVLink: body x forward, y right, z down (FRD), world x north, y east, z down (NED). REP-103: body x
-//! forward, y left, z up (FLU), world x east, y north, z up (ENU). Both changes are half turns, so each is its
-//! own inverse.
+//! MAVLink: body x forward, y right, z down (FRD), world x north, y east, z down (NED). REP-103:
+//! body x forward, y left, z up (FLU), world x east, y north, z up (ENU). Both changes are half
+//! turns, so each is its own inverse.
 
 use std::f64::consts::PI;
 

@@ -2,6 +2,7 @@
 
 use std::collections::VecDeque;
 
+use flockeye_config::Autopilot;
 use mavlink::dialects::development::{
     ATTITUDE_QUATERNION_DATA, LOCAL_POSITION_NED_DATA, MavMessage, ODOMETRY_DATA, TIMESYNC_DATA,
 };
@@ -9,15 +10,17 @@ use mavlink::{MavHeader, MessageData};
 
 use crate::error::AutopilotError;
 use crate::messages::{
-    AUTOPILOT, Outgoing, WireClock, ask_for, heartbeat, obstacle, target, time_answer, time_request,
+    AUTOPILOT, Outgoing, ask_for, heartbeat, obstacle, target, time_answer, time_request,
 };
 use crate::neighbour::NeighbourState;
 use crate::neighbours::Neighbours;
-use crate::odometry::{Odometry, OdometryState};
+use crate::odometry::{OdometryHistory, OdometryState};
 use crate::pace::Pace;
-use crate::parameters::AutopilotParameters;
 use crate::timesync::{TimeOffset, Timesync};
 
+/// A neighbour that was last seen longer ago is left out, nanoseconds. An older pose says little of
+/// where an obstacle is.
+const MAX_AGE_NS: i64 = 500_000_000;
 /// Without a message for so long, an autopilot is asked to send it, nanoseconds.
 const MISSED_NS: i64 = 2_000_000_000;
 /// Questions for our time that wait for their answer.
@@ -30,11 +33,11 @@ const MOTION: [u32; 3] =
 /// Neighbours, times and messages in, messages out.
 #[derive(Debug)]
 pub struct Core {
-    parameters: AutopilotParameters,
-    clock: WireClock,
+    settings: Autopilot,
+    utc_less_monotonic_ns: i64,
     neighbours: Neighbours,
     timesync: Timesync,
-    odometry: Odometry,
+    odometry: OdometryHistory,
     /// The autopilot's questions that are not answered yet.
     questions: VecDeque<TIMESYNC_DATA>,
     time_due_ns: i64,
@@ -51,32 +54,36 @@ pub struct Core {
 }
 
 impl Core {
-    /// Parameters are checked by the caller.
-    pub fn new(parameters: AutopilotParameters, clock: WireClock) -> Self {
-        let rates = parameters.rates;
+    /// The settings are checked by the caller. Messages have UTC as it was then: a clock that never
+    /// leaps, however the system's is set, need be related to the autopilot's only once.
+    pub fn new(settings: Autopilot, utc_less_monotonic_ns: i64) -> Self {
         Self {
-            clock,
-            neighbours: Neighbours::new(i64::from(parameters.max_age_ms) * 1_000_000),
+            utc_less_monotonic_ns,
+            neighbours: Neighbours::new(MAX_AGE_NS),
             timesync: Timesync::default(),
-            odometry: Odometry::default(),
+            odometry: OdometryHistory::default(),
             questions: VecDeque::new(),
             time_due_ns: i64::MIN,
             heartbeats: Pace::from_hz(1.0),
-            targets: Pace::from_hz(if parameters.target.is_some() { rates.target_hz } else { 0.0 }),
-            obstacles: Pace::from_hz(rates.obstacles_hz),
-            asking: Pace::from_hz(if rates.odometry_hz > 0.0 { 0.5 } else { 0.0 }),
+            targets: Pace::from_hz(if settings.target.is_some() {
+                settings.target_hz
+            } else {
+                0.0
+            }),
+            obstacles: Pace::from_hz(settings.obstacles_hz),
+            asking: Pace::from_hz(if settings.odometry_hz > 0.0 { 0.5 } else { 0.0 }),
             obstacles_ms: i64::MIN,
             heard_ns: None,
             moved_ns: [None; 3],
             other_system: None,
-            parameters,
+            settings,
         }
     }
 
     /// Takes in where a neighbour is.
     ///
     /// # Errors
-    /// As those of [`Neighbours::update`].
+    /// The state is one that no autopilot could use, or there are too many neighbours.
     pub fn on_neighbour(
         &mut self,
         state: &NeighbourState,
@@ -85,13 +92,13 @@ impl Core {
         self.neighbours.update(state, now_ns)
     }
 
-    /// Takes in a message that arrived at `arrived_ns`. Returns whether the autopilot of our vehicle sent it; all
-    /// others change nothing.
+    /// Takes in a message that arrived at `arrived_ns`. Returns whether the autopilot of our
+    /// vehicle sent it; all others change nothing.
     pub fn on_message(&mut self, sender: MavHeader, message: &MavMessage, arrived_ns: i64) -> bool {
         if sender.component_id != AUTOPILOT {
             return false;
         }
-        if sender.system_id != u32::from(self.parameters.system_id) {
+        if sender.system_id != u32::from(self.settings.system_id) {
             self.other_system = Some(sender.system_id);
             return false;
         }
@@ -110,7 +117,7 @@ impl Core {
 
     fn on_time(&mut self, time: &TIMESYNC_DATA, arrived_ns: i64) {
         let is_for = |wanted: u8, ours: u8| wanted == 0 || wanted == ours;
-        let AutopilotParameters { system_id, component_id, .. } = self.parameters;
+        let Autopilot { system_id, component_id, .. } = self.settings;
         if !is_for(time.target_system, system_id) || !is_for(time.target_component, component_id) {
             return;
         }
@@ -138,8 +145,8 @@ impl Core {
     /// What is to be sent at `now_ns`, at once and in this order: what depends on the time first.
     pub fn due(&mut self, now_ns: i64) -> Vec<Outgoing> {
         let mut due = Vec::new();
-        let AutopilotParameters { system_id, obstacle_range_m, .. } = self.parameters;
-        let time_ns = self.clock.from_monotonic(now_ns);
+        let Autopilot { system_id, obstacle_range_m, .. } = self.settings;
+        let time_ns = now_ns.saturating_add(self.utc_less_monotonic_ns);
         due.extend(self.questions.drain(..).map(|question| {
             Outgoing::Timesync(time_answer(&question, system_id, AUTOPILOT, time_ns))
         }));
@@ -149,12 +156,14 @@ impl Core {
             due.push(Outgoing::Timesync(time_request(system_id, time_ns)));
         }
         if self.targets.is_due(now_ns)
-            && let Some(name) = &self.parameters.target
+            && let Some(name) = &self.settings.target
             && let Some((id, state)) = self.neighbours.take_target(name, now_ns)
         {
             self.targets.sent(now_ns);
             let attitude = self.odometry.enu_from_base_at(state.exposure_monotonic_ns);
-            due.push(Outgoing::Target(target(id, state, &self.clock, attitude.as_ref())));
+            let exposure_utc_ns =
+                state.exposure_monotonic_ns.saturating_add(self.utc_less_monotonic_ns);
+            due.push(Outgoing::Target(target(id, state, exposure_utc_ns, attitude.as_ref())));
         }
         if self.obstacles.is_due(now_ns) {
             let offset = self.timesync.offset(now_ns);
@@ -185,15 +194,15 @@ impl Core {
         }
         if self.asking.is_due(now_ns) && self.is_heard(now_ns) {
             self.asking.sent(now_ns);
-            let hz = self.parameters.rates.odometry_hz;
+            let hz = self.settings.odometry_hz;
             let missed = self.missed(now_ns);
             due.extend(missed.map(|id| Outgoing::Command(ask_for(system_id, id, hz))));
         }
         due
     }
 
-    /// The messages of [`MOTION`] that do not come. Those that come are not asked for: somebody else may have
-    /// asked for them, and more often.
+    /// The messages of [`MOTION`] that do not come. Those that come are not asked for: somebody
+    /// else may have asked for them, and more often.
     fn missed(&self, now_ns: i64) -> impl Iterator<Item = u32> {
         let comes = self
             .moved_ns
@@ -210,7 +219,7 @@ impl Core {
         if !self.questions.is_empty() {
             return now_ns;
         }
-        let target = self.parameters.target.as_ref();
+        let target = self.settings.target.as_ref();
         let has_target = target.is_some_and(|name| self.neighbours.has_target(name, now_ns));
         let paces = [
             (true, self.heartbeats),
@@ -239,7 +248,7 @@ impl Core {
         self.timesync.offset(now_ns)
     }
 
-    /// How the drone moves by the newest estimate; each once ([`Odometry::take_newest`]).
+    /// How the drone moves by the newest estimate; each once.
     pub fn take_odometry(&mut self) -> Option<OdometryState> {
         self.odometry.take_newest()
     }

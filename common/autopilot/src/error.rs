@@ -1,14 +1,15 @@
 //! What can go wrong with the autopilot.
 
+/// The most neighbours at once.
+pub(crate) const MAX_NEIGHBOURS: usize = 64;
+
 /// What can go wrong with the autopilot. None of these ends a stage that is already running.
 #[derive(Debug, thiserror::Error)]
 pub enum AutopilotError {
-    /// A parameter that cannot work.
-    #[error("{field}: '{found}' {reason}")]
-    Parameter {
-        /// Name of the field.
-        field: &'static str,
-        /// What it holds.
+    /// An address that is none.
+    #[error("link: '{found}' {reason}")]
+    Link {
+        /// The address.
         found: String,
         /// Why it cannot work, and what would.
         reason: String,
@@ -27,15 +28,10 @@ pub enum AutopilotError {
     },
     /// More neighbours at once than there are numbers for.
     #[error(
-        "neighbour '{name}': {most} others are told of already, which is the most. Cure: report lost \
+        "neighbour '{0}': {MAX_NEIGHBOURS} others are told of already, which is the most. Cure: report lost \
          neighbours as lost"
     )]
-    TooManyNeighbours {
-        /// The neighbour that has no place.
-        name: String,
-        /// How many have one.
-        most: usize,
-    },
+    TooManyNeighbours(String),
     /// A thread could not be started.
     #[error("cannot start the thread {name}: {source}")]
     Thread {

@@ -1,13 +1,15 @@
-//! The line to the drone's autopilot (PX4, ArduPilot) over MAVLink 2: neighbours go out, the drone's motion comes in.
+//! The line to the drone's autopilot (PX4, ArduPilot) over MAVLink 2: neighbours go out, the
+//! drone's motion comes in.
 //!
 //! ```no_run
-//! use flockeye_autopilot::{Autopilot, AutopilotParameters, NeighbourState};
+//! use flockeye_autopilot::{AutopilotLine, NeighbourState};
+//! use flockeye_config::Autopilot;
 //! use nalgebra::{Isometry3, Matrix6};
 //!
-//! let autopilot = Autopilot::open(&AutopilotParameters {
+//! let autopilot = AutopilotLine::open(&Autopilot {
 //!     link: "serial:/dev/ttyACM0:921600".into(),
 //!     target: Some("kite".into()),
-//!     ..AutopilotParameters::default()
+//!     ..Autopilot::default()
 //! })?;
 //! let exposure_monotonic_ns = 1_000_000_000;
 //! autopilot.neighbour(&NeighbourState {
@@ -23,39 +25,37 @@
 //! # Ok::<(), flockeye_autopilot::AutopilotError>(())
 //! ```
 //!
-//! What goes out: `TARGET_RELATIVE` for one neighbour, `OBSTACLE_DISTANCE_3D` for all, `HEARTBEAT`, `TIMESYNC`. What
-//! comes in: `TIMESYNC`, `ODOMETRY`, `LOCAL_POSITION_NED`, `ATTITUDE_QUATERNION`.
+//! What goes out: `TARGET_RELATIVE` for one neighbour, `OBSTACLE_DISTANCE_3D` for all, `HEARTBEAT`,
+//! `TIMESYNC`. What comes in: `TIMESYNC`, `ODOMETRY`, `LOCAL_POSITION_NED`, `ATTITUDE_QUATERNION`.
 //!
 //! | module | what it does |
 //! | --- | --- |
 //! | [`core`] | what is sent when, and what received messages change; without line, thread and clock |
 //! | [`messages`] | states as MAVLink messages |
-//! | [`timesync`] | the autopilot's clock |
-//! | [`odometry`] | how the drone moves |
-//! | [`neighbours`] | the newest state of each neighbour |
-//! | [`pace`] | rates that are held |
-//! | [`axes`] | between the axes of MAVLink and REP-103 |
+//! | `timesync` | the autopilot's clock |
+//! | `odometry` | how the drone moves |
+//! | `neighbours` | the newest state of each neighbour |
+//! | `pace` | rates that are held |
+//! | `axes` | between the axes of MAVLink and REP-103 |
 //! | [`link`] | the line: UDP or serial |
 //!
 //! `docs/AUTOPILOT.md` describes it for users.
 
-pub mod axes;
+mod axes;
 pub mod core;
 pub mod link;
 pub mod messages;
-pub mod neighbours;
-pub mod odometry;
-pub mod pace;
-pub mod timesync;
+mod neighbours;
+mod odometry;
+mod pace;
+mod timesync;
 
 mod autopilot;
 mod error;
 mod neighbour;
-mod parameters;
 
-pub use autopilot::{Autopilot, AutopilotStatus};
+pub use autopilot::{AutopilotLine, AutopilotStatus};
 pub use error::AutopilotError;
 pub use neighbour::NeighbourState;
 pub use odometry::{OdometryAt, OdometryFrame, OdometryState};
-pub use parameters::{AutopilotParameters, Rates};
 pub use timesync::TimeOffset;

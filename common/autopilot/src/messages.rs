@@ -1,7 +1,8 @@
 //! What is sent, as MAVLink messages. Pure: states and times in, messages out.
 //!
-//! `TARGET_RELATIVE` (511) is of MAVLink's development messages, `OBSTACLE_DISTANCE_3D` (11037) of ArduPilot's; the
-//! definitions are in `development.xml` and `ardupilotmega.xml` of <https://github.com/mavlink/mavlink>.
+//! `TARGET_RELATIVE` (511) is of MAVLink's development messages, `OBSTACLE_DISTANCE_3D` (11037) of
+//! ArduPilot's; the definitions are in `development.xml` and `ardupilotmega.xml` of
+//! <https://github.com/mavlink/mavlink>.
 
 use mavlink::dialects::ardupilotmega::{MavDistanceSensor, MavFrame, OBSTACLE_DISTANCE_3D_DATA};
 use mavlink::dialects::development::{
@@ -13,7 +14,6 @@ use nalgebra::UnitQuaternion;
 
 use crate::axes::{enu_from_ned, flip, flu_from_frd, to_wxyz};
 use crate::neighbour::NeighbourState;
-use crate::neighbours::NeighbourId;
 
 /// The autopilot's component.
 pub const AUTOPILOT: u8 = 1;
@@ -51,32 +51,13 @@ impl Outgoing {
     }
 }
 
-/// This machine's clock as messages have it: nanoseconds of UTC as of when it was made. It goes on with
-/// CLOCK_MONOTONIC and never leaps, however the system's clock is set, so that whoever relates it to a clock of
-/// their own need not do so again.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct WireClock {
-    utc_less_monotonic_ns: i64,
-}
-
-impl WireClock {
-    /// The clock that reads `utc_ns` at `monotonic_ns`.
-    pub fn new(utc_ns: i64, monotonic_ns: i64) -> Self {
-        Self { utc_less_monotonic_ns: utc_ns.saturating_sub(monotonic_ns) }
-    }
-
-    /// An instant of CLOCK_MONOTONIC on this clock, nanoseconds.
-    pub fn from_monotonic(&self, monotonic_ns: i64) -> i64 {
-        monotonic_ns.saturating_add(self.utc_less_monotonic_ns)
-    }
-}
-
-/// Where the target is: position and attitude along the body's axes (FRD), with standard deviations. With the
-/// drone's attitude at the exposure the receiver can turn it to NED without guessing which attitude it had then.
+/// Where the target is: position and attitude along the body's axes (FRD), with standard
+/// deviations. With the drone's attitude at the exposure the receiver can turn it to NED without
+/// guessing which attitude it had then.
 pub fn target(
-    id: NeighbourId,
+    id: u8,
     state: &NeighbourState,
-    clock: &WireClock,
+    exposure_utc_ns: i64,
     enu_from_base: Option<&UnitQuaternion<f64>>,
 ) -> TARGET_RELATIVE_DATA {
     let pose = state.observer_from_target;
@@ -87,8 +68,7 @@ pub fn target(
         to_wxyz(&(enu_from_ned() * enu_from_base * flu_from_frd()))
     });
     TARGET_RELATIVE_DATA {
-        timestamp: u64::try_from(clock.from_monotonic(state.exposure_monotonic_ns) / 1000)
-            .unwrap_or(0),
+        timestamp: u64::try_from(exposure_utc_ns / 1000).unwrap_or(0),
         x: position.x as f32,
         y: position.y as f32,
         z: position.z as f32,
@@ -97,16 +77,17 @@ pub fn target(
         yaw_std: deviation(5),
         q_target: to_wxyz(&(flu_from_frd() * pose.rotation * flu_from_frd())),
         q_sensor,
-        id: id.0,
+        id,
         frame: TargetObsFrame::TARGET_OBS_FRAME_BODY_FRD,
         mavtype: LandingTargetType::LANDING_TARGET_TYPE_VISION_FIDUCIAL,
     }
 }
 
-/// A neighbour as an obstacle at a point of the body's axes (FRD). `time_boot_ms` is the same for all obstacles
-/// that are seen together, and another for those that are seen next: ArduPilot forgets the obstacles of another time.
+/// A neighbour as an obstacle at a point of the body's axes (FRD). `time_boot_ms` is the same for
+/// all obstacles that are seen together, and another for those that are seen next: ArduPilot
+/// forgets the obstacles of another time.
 pub fn obstacle(
-    id: NeighbourId,
+    id: u8,
     state: &NeighbourState,
     time_boot_ms: u32,
     range_m: [f64; 2],
@@ -119,7 +100,7 @@ pub fn obstacle(
         z: position.z as f32,
         min_distance: range_m[0] as f32,
         max_distance: range_m[1] as f32,
-        obstacle_id: u16::from(id.0),
+        obstacle_id: u16::from(id),
         sensor_type: MavDistanceSensor::MAV_DISTANCE_SENSOR_UNKNOWN,
         frame: MavFrame::MAV_FRAME_BODY_FRD,
     }
@@ -181,8 +162,7 @@ mod tests {
 
     #[test]
     fn a_target_ahead_and_left_is_ahead_and_negative_right() {
-        let clock = WireClock::new(UTC + 5_000, 5_000);
-        let found = target(NeighbourId(3), &neighbour("kite", 2_000_000), &clock, None);
+        let found = target(3, &neighbour("kite", 2_000_000), UTC + 2_000_000, None);
         assert_eq!((found.x, found.y, found.z), (2.0, -1.0, -0.5));
         assert_eq!(found.pos_std, [0.2, 0.3, 0.4]);
         assert_eq!((found.yaw_std, found.id), (0.5, 3));
@@ -199,8 +179,7 @@ mod tests {
     fn the_attitude_at_the_exposure_goes_along() {
         // The nose to the east: zero in ENU, a quarter clockwise in NED.
         let east = UnitQuaternion::identity();
-        let clock = WireClock::new(UTC, 0);
-        let found = target(NeighbourId(0), &neighbour("kite", 0), &clock, Some(&east));
+        let found = target(0, &neighbour("kite", 0), UTC, Some(&east));
         let wanted = to_wxyz(&UnitQuaternion::from_euler_angles(0.0, 0.0, FRAC_PI_2));
         for (found, wanted) in found.q_sensor.iter().zip(wanted) {
             assert!((found - wanted).abs() < 1e-6, "{found} {wanted}");
@@ -209,15 +188,16 @@ mod tests {
 
     #[test]
     fn obstacles_are_points_of_the_body() {
-        let found = obstacle(NeighbourId(63), &neighbour("kite", 0), 77, [0.5, 40.0]);
+        let found = obstacle(63, &neighbour("kite", 0), 77, [0.5, 40.0]);
         assert_eq!((found.x, found.y, found.z), (2.0, -1.0, -0.5));
         assert_eq!((found.min_distance, found.max_distance), (0.5, 40.0));
         assert_eq!((found.obstacle_id, found.time_boot_ms), (63, 77));
         assert_eq!(found.frame, MavFrame::MAV_FRAME_BODY_FRD);
     }
 
-    /// The checksum's seed follows from the definition (https://mavlink.io/en/guide/serialization.html#crc_extra): a
-    /// definition that changes is refused by the autopilot. Names of the fields as they are sent, by size.
+    /// The checksum's seed follows from the definition
+    /// (https://mavlink.io/en/guide/serialization.html#crc_extra): a definition that changes is
+    /// refused by the autopilot. Names of the fields as they are sent, by size.
     #[test]
     fn the_definitions_are_those_that_autopilots_have() {
         fn seed(name: &str, fields: &[(&str, &str, u8)]) -> u8 {

@@ -15,8 +15,8 @@ pub struct NeighbourState {
     pub name: String,
     /// Its pose in this drone's `base_link` (x forward, y left, z up), metres.
     pub observer_from_target: Isometry3<f64>,
-    /// Covariance of that pose: position (m), then rotation vector (rad), both along the axes of this drone's
-    /// `base_link`.
+    /// Covariance of that pose: position (m), then rotation vector (rad), both along the axes of
+    /// this drone's `base_link`.
     pub covariance: Matrix6<f64>,
     /// Middle of the exposure, CLOCK_MONOTONIC, nanoseconds.
     pub exposure_monotonic_ns: i64,

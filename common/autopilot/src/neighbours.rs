@@ -1,37 +1,30 @@
 //! The newest state of each neighbour, and which states were sent to the autopilot.
 
-use crate::error::AutopilotError;
+use crate::error::{AutopilotError, MAX_NEIGHBOURS};
 use crate::neighbour::NeighbourState;
 
-/// The most neighbours at once.
-pub const MAX_NEIGHBOURS: usize = 64;
-
-/// A neighbour's number in the messages: the same as long as it is heard of, below [`MAX_NEIGHBOURS`].
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct NeighbourId(pub(crate) u8);
-
-/// The newest state of each neighbour. Bounded: a name that has not been fresh for the longest time gives way.
+/// The newest state of each neighbour. Bounded: a name that has not been fresh for the longest time
+/// gives way.
 #[derive(Debug)]
 pub struct Neighbours {
-    /// A neighbour's number is its place.
-    slots: Vec<Slot>,
+    /// A neighbour's place is its number in messages: the same as long as it is heard of.
+    neighbours: Vec<Neighbour>,
     max_age_ns: i64,
 }
 
+/// A state, and whether it was sent as the target and as an obstacle.
 #[derive(Debug)]
-struct Slot {
+struct Neighbour {
     state: NeighbourState,
-    /// As what this state was sent.
-    sent: SentAs,
+    is_sent_as_target: bool,
+    is_sent_as_obstacle: bool,
 }
 
-#[derive(Debug, Clone, Copy, Default)]
-struct SentAs {
-    target: bool,
-    obstacle: bool,
-}
+impl Neighbour {
+    fn new(state: &NeighbourState) -> Self {
+        Self { state: state.clone(), is_sent_as_target: false, is_sent_as_obstacle: false }
+    }
 
-impl Slot {
     fn is_fresh(&self, now_ns: i64, max_age_ns: i64) -> bool {
         let age_ns = now_ns.saturating_sub(self.state.exposure_monotonic_ns);
         // A stamp of the future is none of this machine's clock.
@@ -42,7 +35,7 @@ impl Slot {
 impl Neighbours {
     /// States count for so long after their exposure, nanoseconds.
     pub fn new(max_age_ns: i64) -> Self {
-        Self { slots: Vec::with_capacity(MAX_NEIGHBOURS), max_age_ns }
+        Self { neighbours: Vec::with_capacity(MAX_NEIGHBOURS), max_age_ns }
     }
 
     /// Takes in a state. One that is older than what is known of this neighbour changes nothing.
@@ -52,32 +45,31 @@ impl Neighbours {
     /// [`AutopilotError::TooManyNeighbours`] where all places are taken by fresh ones.
     pub fn update(&mut self, state: &NeighbourState, now_ns: i64) -> Result<(), AutopilotError> {
         state.check()?;
-        let known = self.slots.iter().position(|slot| slot.state.name == state.name);
-        if let Some(slot) = known.map(|place| &mut self.slots[place]) {
-            if state.exposure_monotonic_ns >= slot.state.exposure_monotonic_ns {
-                *slot = Slot { state: state.clone(), sent: SentAs::default() };
+        let known = self.neighbours.iter().position(|neighbour| neighbour.state.name == state.name);
+        if let Some(neighbour) = known.map(|place| &mut self.neighbours[place]) {
+            if state.exposure_monotonic_ns >= neighbour.state.exposure_monotonic_ns {
+                *neighbour = Neighbour::new(state);
             }
             return Ok(());
         }
         if state.is_lost {
             return Ok(());
         }
-        let slot = Slot { state: state.clone(), sent: SentAs::default() };
-        if self.slots.len() < MAX_NEIGHBOURS {
-            self.slots.push(slot);
+        let neighbour = Neighbour::new(state);
+        if self.neighbours.len() < MAX_NEIGHBOURS {
+            self.neighbours.push(neighbour);
             return Ok(());
         }
         let max_age_ns = self.max_age_ns;
         let oldest = self
-            .slots
+            .neighbours
             .iter_mut()
-            .filter(|slot| !slot.is_fresh(now_ns, max_age_ns))
-            .min_by_key(|slot| slot.state.exposure_monotonic_ns);
+            .filter(|neighbour| !neighbour.is_fresh(now_ns, max_age_ns))
+            .min_by_key(|neighbour| neighbour.state.exposure_monotonic_ns);
         match oldest {
-            Some(place) => *place = slot,
+            Some(place) => *place = neighbour,
             None => {
-                let (name, most) = (state.name.clone(), MAX_NEIGHBOURS);
-                return Err(AutopilotError::TooManyNeighbours { name, most });
+                return Err(AutopilotError::TooManyNeighbours(state.name.clone()));
             }
         }
         Ok(())
@@ -85,57 +77,54 @@ impl Neighbours {
 
     /// Whether `name` is fresh and has not been sent as the target.
     pub fn has_target(&self, name: &str, now_ns: i64) -> bool {
-        self.fresh(now_ns).any(|(_, slot)| slot.state.name == name && !slot.sent.target)
+        self.fresh(now_ns)
+            .any(|(_, neighbour)| neighbour.state.name == name && !neighbour.is_sent_as_target)
     }
 
     /// The state of the target `name`, once each.
-    pub fn take_target(
-        &mut self,
-        name: &str,
-        now_ns: i64,
-    ) -> Option<(NeighbourId, &NeighbourState)> {
+    pub fn take_target(&mut self, name: &str, now_ns: i64) -> Option<(u8, &NeighbourState)> {
         let max_age_ns = self.max_age_ns;
-        let place = self.slots.iter().position(|slot| slot.state.name == name)?;
-        let slot = &mut self.slots[place];
-        if slot.sent.target || !slot.is_fresh(now_ns, max_age_ns) {
+        let place = self.neighbours.iter().position(|neighbour| neighbour.state.name == name)?;
+        let neighbour = &mut self.neighbours[place];
+        if neighbour.is_sent_as_target || !neighbour.is_fresh(now_ns, max_age_ns) {
             return None;
         }
-        slot.sent.target = true;
-        Some((id(place), &slot.state))
+        neighbour.is_sent_as_target = true;
+        Some((id(place), &neighbour.state))
     }
 
     /// Whether a fresh state has not been sent as an obstacle.
     pub fn has_obstacles(&self, now_ns: i64) -> bool {
-        self.fresh(now_ns).any(|(_, slot)| !slot.sent.obstacle)
+        self.fresh(now_ns).any(|(_, neighbour)| !neighbour.is_sent_as_obstacle)
     }
 
-    /// All fresh states as obstacles, the nearest first, where one of them at least is new. Those that are not new
-    /// go along: a receiver forgets the obstacles of the message before.
-    pub fn take_obstacles(&mut self, now_ns: i64) -> Vec<(NeighbourId, &NeighbourState)> {
+    /// All fresh states as obstacles, the nearest first, where one of them at least is new. Those
+    /// that are not new go along: a receiver forgets the obstacles of the message before.
+    pub fn take_obstacles(&mut self, now_ns: i64) -> Vec<(u8, &NeighbourState)> {
         if !self.has_obstacles(now_ns) {
             return Vec::new();
         }
         let max_age_ns = self.max_age_ns;
-        for slot in &mut self.slots {
-            slot.sent.obstacle |= slot.is_fresh(now_ns, max_age_ns);
+        for neighbour in &mut self.neighbours {
+            neighbour.is_sent_as_obstacle |= neighbour.is_fresh(now_ns, max_age_ns);
         }
         let mut obstacles: Vec<_> =
-            self.fresh(now_ns).map(|(place, slot)| (id(place), &slot.state)).collect();
+            self.fresh(now_ns).map(|(place, neighbour)| (id(place), &neighbour.state)).collect();
         obstacles.sort_by(|(_, a), (_, b)| a.distance_m().total_cmp(&b.distance_m()));
         obstacles
     }
 
-    fn fresh(&self, now_ns: i64) -> impl Iterator<Item = (usize, &Slot)> {
-        self.slots
+    fn fresh(&self, now_ns: i64) -> impl Iterator<Item = (usize, &Neighbour)> {
+        self.neighbours
             .iter()
             .enumerate()
-            .filter(move |(_, slot)| slot.is_fresh(now_ns, self.max_age_ns))
+            .filter(move |(_, neighbour)| neighbour.is_fresh(now_ns, self.max_age_ns))
     }
 }
 
 /// Places are below [`MAX_NEIGHBOURS`], so they fit.
-fn id(place: usize) -> NeighbourId {
-    NeighbourId(u8::try_from(place).unwrap_or(u8::MAX))
+fn id(place: usize) -> u8 {
+    u8::try_from(place).unwrap_or(u8::MAX)
 }
 
 #[cfg(test)]
@@ -147,7 +136,7 @@ mod tests {
     const MS: i64 = 1_000_000;
     const MAX_AGE_NS: i64 = 500 * MS;
 
-    fn names(obstacles: &[(NeighbourId, &NeighbourState)]) -> Vec<String> {
+    fn names(obstacles: &[(u8, &NeighbourState)]) -> Vec<String> {
         obstacles.iter().map(|(_, state)| state.name.clone()).collect()
     }
 
@@ -180,7 +169,7 @@ mod tests {
         assert_eq!(names(&all.take_obstacles(610 * MS)), ["robin"], "kite is too old");
         // The number stays when it comes back.
         all.update(&neighbour("swift", 620 * MS), 620 * MS).unwrap();
-        assert_eq!(all.take_target("swift", 620 * MS).unwrap().0, NeighbourId(1));
+        assert_eq!(all.take_target("swift", 620 * MS).unwrap().0, 1);
     }
 
     #[test]
@@ -201,11 +190,11 @@ mod tests {
             all.update(&neighbour(&format!("n{place}"), 0), 0).unwrap();
         }
         let refused = all.update(&neighbour("one-more", 0), 0);
-        assert!(matches!(refused, Err(AutopilotError::TooManyNeighbours { .. })));
+        assert!(matches!(refused, Err(AutopilotError::TooManyNeighbours(_))));
         let lost = NeighbourState { is_lost: true, ..neighbour("n7", MS) };
         all.update(&lost, MS).unwrap();
         all.update(&neighbour("one-more", MS), MS).unwrap();
-        assert_eq!(all.take_target("one-more", MS).unwrap().0, NeighbourId(7));
-        assert_eq!(all.slots.len(), MAX_NEIGHBOURS);
+        assert_eq!(all.take_target("one-more", MS).unwrap().0, 7);
+        assert_eq!(all.neighbours.len(), MAX_NEIGHBOURS);
     }
 }

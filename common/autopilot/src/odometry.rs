@@ -5,23 +5,24 @@ mod instant;
 
 use flockeye_geometry::timeline::{Interpolate, Timeline};
 use mavlink::dialects::development::MavMessage;
-use nalgebra::{Isometry3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, UnitQuaternion};
 
 use crate::timesync::TimeOffset;
 use heard::{AttitudeSample, PositionSample, from_attitude, from_odometry, from_position};
 pub use instant::{OdometryAt, OdometryFrame, OdometryState};
 
-/// A message does not take longer than this from its stamp to us, nanoseconds; one that seems to has a stamp of
-/// another clock.
+/// A message does not take longer than this from its stamp to us, nanoseconds; one that seems to
+/// has a stamp of another clock.
 const LONGEST_WAY_NS: i64 = 1_000_000_000;
-/// A message may seem to come so much before its stamp, nanoseconds, because clocks are known so well only.
+/// A message may seem to come so much before its stamp, nanoseconds, because clocks are known so
+/// well only.
 const EARLIEST_NS: i64 = 20_000_000;
 /// Position and attitude stand in for `ODOMETRY` where that has not come for so long, nanoseconds.
 const MISSING_NS: i64 = 500_000_000;
 
 /// The odometry of the last two seconds.
 #[derive(Debug, Default)]
-pub struct Odometry {
+pub struct OdometryHistory {
     whole: Timeline<OdometryAt>,
     positions: Timeline<PositionSample>,
     attitudes: Timeline<AttitudeSample>,
@@ -33,10 +34,10 @@ pub struct Odometry {
     taken: Option<(i64, bool)>,
 }
 
-impl Odometry {
-    /// Takes in `ODOMETRY`, `LOCAL_POSITION_NED` and `ATTITUDE_QUATERNION` that arrived at `arrived_ns`
-    /// (CLOCK_MONOTONIC). Its instant is that of its stamp where the autopilot's clock is known, and else that of
-    /// its arrival.
+impl OdometryHistory {
+    /// Takes in `ODOMETRY`, `LOCAL_POSITION_NED` and `ATTITUDE_QUATERNION` that arrived at
+    /// `arrived_ns` (CLOCK_MONOTONIC). Its instant is that of its stamp where the autopilot's clock
+    /// is known, and else that of its arrival.
     pub fn on_message(
         &mut self,
         message: &MavMessage,
@@ -116,8 +117,8 @@ impl Odometry {
         Some((at_ns, odometry))
     }
 
-    /// The attitude at this instant of CLOCK_MONOTONIC in ENU axes; none outside the last two seconds, in gaps of
-    /// more than half a second, and where the autopilot does not know north.
+    /// The attitude at this instant of CLOCK_MONOTONIC in ENU axes; none outside the last two
+    /// seconds, in gaps of more than half a second, and where the autopilot does not know north.
     pub fn enu_from_base_at(&self, monotonic_ns: i64) -> Option<UnitQuaternion<f64>> {
         let whole = self.whole.at(monotonic_ns).filter(|at| at.frame == OdometryFrame::Enu);
         whole
@@ -126,8 +127,8 @@ impl Odometry {
     }
 }
 
-/// When a sample was taken, CLOCK_MONOTONIC: by its stamp, if that can be of the autopilot's clock, else by its
-/// arrival.
+/// When a sample was taken, CLOCK_MONOTONIC: by its stamp, if that can be of the autopilot's clock,
+/// else by its arrival.
 fn instant_ns(stamp_ns: Option<i64>, arrived_ns: i64, clock: Option<&TimeOffset>) -> i64 {
     let stamped_ns = stamp_ns.zip(clock).map(|(ns, clock)| clock.monotonic_from_autopilot(ns));
     stamped_ns
@@ -135,41 +136,19 @@ fn instant_ns(stamp_ns: Option<i64>, arrived_ns: i64, clock: Option<&TimeOffset>
         .unwrap_or(arrived_ns)
 }
 
-fn between(earlier: &Vector3<f64>, later: &Vector3<f64>, share: f64) -> Vector3<f64> {
-    earlier.lerp(later, share)
-}
-
-/// The shorter way round. None between opposite attitudes, where there is no shorter way.
-fn slerp(
-    earlier: &UnitQuaternion<f64>,
-    later: &UnitQuaternion<f64>,
-    share: f64,
-) -> Option<UnitQuaternion<f64>> {
-    earlier.try_slerp(later, share, 1e-9)
-}
-
 impl Interpolate for OdometryAt {
     fn between(&self, later: &Self, share: f64) -> Option<Self> {
         if self.frame != later.frame {
             return None;
         }
-        let [a, b] = [self, later].map(|at| at.odom_from_base);
-        let position = between(&a.translation.vector, &b.translation.vector, share);
-        let rotation = slerp(&a.rotation, &b.rotation, share)?;
+        let linear = self.linear_velocity_m_s.lerp(&later.linear_velocity_m_s, share);
+        let angular = self.angular_velocity_rad_s.lerp(&later.angular_velocity_rad_s, share);
         Some(Self {
-            odom_from_base: Isometry3::from_parts(position.into(), rotation),
+            odom_from_base: self.odom_from_base.between(&later.odom_from_base, share)?,
             frame: self.frame,
             covariance: self.covariance.zip(later.covariance).map(|(a, b)| a + (b - a) * share),
-            linear_velocity_m_s: between(
-                &self.linear_velocity_m_s,
-                &later.linear_velocity_m_s,
-                share,
-            ),
-            angular_velocity_rad_s: between(
-                &self.angular_velocity_rad_s,
-                &later.angular_velocity_rad_s,
-                share,
-            ),
+            linear_velocity_m_s: linear,
+            angular_velocity_rad_s: angular,
         })
     }
 }
@@ -177,21 +156,18 @@ impl Interpolate for OdometryAt {
 impl Interpolate for PositionSample {
     fn between(&self, later: &Self, share: f64) -> Option<Self> {
         Some(Self {
-            position_enu_m: between(&self.position_enu_m, &later.position_enu_m, share),
-            velocity_enu_m_s: between(&self.velocity_enu_m_s, &later.velocity_enu_m_s, share),
+            position_enu_m: self.position_enu_m.lerp(&later.position_enu_m, share),
+            velocity_enu_m_s: self.velocity_enu_m_s.lerp(&later.velocity_enu_m_s, share),
         })
     }
 }
 
 impl Interpolate for AttitudeSample {
     fn between(&self, later: &Self, share: f64) -> Option<Self> {
+        let angular = self.angular_velocity_rad_s.lerp(&later.angular_velocity_rad_s, share);
         Some(Self {
-            enu_from_base: slerp(&self.enu_from_base, &later.enu_from_base, share)?,
-            angular_velocity_rad_s: between(
-                &self.angular_velocity_rad_s,
-                &later.angular_velocity_rad_s,
-                share,
-            ),
+            enu_from_base: self.enu_from_base.between(&later.enu_from_base, share)?,
+            angular_velocity_rad_s: angular,
         })
     }
 }
@@ -202,6 +178,8 @@ mod tests {
     use mavlink::dialects::development::{
         ATTITUDE_QUATERNION_DATA, LOCAL_POSITION_NED_DATA, ODOMETRY_DATA,
     };
+
+    use nalgebra::Vector3;
 
     use super::heard::tests::message;
     use super::*;
@@ -224,7 +202,7 @@ mod tests {
 
     #[test]
     fn each_state_is_given_once_at_the_instant_of_its_stamp() {
-        let mut odometry = Odometry::default();
+        let mut odometry = OdometryHistory::default();
         assert_eq!(odometry.take_newest(), None);
         for time_ms in (0..=1000).step_by(20) {
             // Up to 30 ms late, each differently; stamps make up for it.
@@ -251,7 +229,7 @@ mod tests {
 
     #[test]
     fn without_the_clock_it_is_the_instant_of_arrival() {
-        let mut odometry = Odometry::default();
+        let mut odometry = OdometryHistory::default();
         for (time_ms, arrived_ms) in [(0, 500), (20, 520), (40, 540)] {
             odometry.on_message(&MavMessage::ODOMETRY(at(time_ms)), arrived_ms * MS, None);
         }
@@ -265,7 +243,7 @@ mod tests {
 
     #[test]
     fn position_and_attitude_do_where_there_is_no_odometry() {
-        let mut odometry = Odometry::default();
+        let mut odometry = OdometryHistory::default();
         for time_ms in [0, 100, 200] {
             let q = at(i64::from(time_ms)).q;
             let attitude = ATTITUDE_QUATERNION_DATA {
@@ -306,7 +284,7 @@ mod tests {
 
     #[test]
     fn a_leap_of_the_estimate_begins_another_epoch() {
-        let mut odometry = Odometry::default();
+        let mut odometry = OdometryHistory::default();
         for (time_ms, reset_counter, epoch) in [(0, 0, 0), (20, 0, 0), (40, 1, 1), (60, 1, 1)] {
             let message = MavMessage::ODOMETRY(ODOMETRY_DATA { reset_counter, ..at(time_ms) });
             odometry.on_message(&message, (10_000 + time_ms) * MS, Some(&CLOCK));

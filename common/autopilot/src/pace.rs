@@ -25,9 +25,9 @@ impl Pace {
         self.period_ns.map(|_| self.due_ns)
     }
 
-    /// Notes that it was sent at `now_ns`. What is sent comes with frames, seldom just when it is due. So the
-    /// next is due a period after this one was due: that holds the mean rate. It is due half a period from now at
-    /// the soonest, so that no two follow at once.
+    /// Notes that it was sent at `now_ns`. What is sent comes with frames, seldom just when it is
+    /// due. So the next is due a period after this one was due: that holds the mean rate. It is due
+    /// half a period from now at the soonest, so that no two follow at once.
     pub fn sent(&mut self, now_ns: i64) {
         let Some(period_ns) = self.period_ns else { return };
         self.due_ns =

@@ -1,10 +1,12 @@
 //! The autopilot's clock, from the answers to our `TIMESYNC` requests. It reads no clock.
 //!
-//! An answer says what the autopilot's clock read some time between our request and the answer's arrival. So the
-//! clocks' difference lies within half the round trip of the value that the middle of the round trip gives: the
-//! shorter the round trip, the narrower (as in NTP, RFC 5905, section 8; the messages are those of the
-//! [time synchronization protocol](https://mavlink.io/en/services/timesync.html)). An answer that is older says
-//! less, because clocks drift. The narrowest is taken; a mean would believe delays that are longer one way.
+//! An answer says what the autopilot's clock read some time between our request and the answer's
+//! arrival. So the clocks' difference lies within half the round trip of the value that the middle
+//! of the round trip gives: the shorter the round trip, the narrower (as in NTP, RFC 5905, section
+//! 8; the messages are those of the [time synchronization
+//! protocol](https://mavlink.io/en/services/timesync.html)). An answer that is older says less,
+//! because clocks drift. The narrowest is taken; a mean would believe delays that are longer one
+//! way.
 
 use std::collections::VecDeque;
 
@@ -51,32 +53,12 @@ impl TimeOffset {
 /// The estimate of the autopilot's clock. Bounded.
 #[derive(Debug, Clone, Default)]
 pub struct Timesync {
-    requests: VecDeque<Request>,
-    answers: VecDeque<Answer>,
+    /// `ts1` of each request, which the answer repeats, and when it was sent.
+    requests: VecDeque<(i64, i64)>,
+    /// When each answer arrived, and what it says.
+    answers: VecDeque<(i64, TimeOffset)>,
     /// The last answers in a row that contradict the others.
-    rivals: Vec<Answer>,
-}
-
-#[derive(Debug, Clone, Copy)]
-struct Request {
-    /// Its `ts1`, which the answer repeats.
-    stamp: i64,
-    sent_ns: i64,
-}
-
-#[derive(Debug, Clone, Copy)]
-struct Answer {
-    offset: TimeOffset,
-    at_ns: i64,
-}
-
-impl Answer {
-    /// The bound as it has grown since.
-    fn offset(&self, now_ns: i64) -> TimeOffset {
-        let drifted_ns =
-            now_ns.saturating_sub(self.at_ns).clamp(0, FORGOTTEN_NS) * DRIFT_PPM / 1_000_000;
-        TimeOffset { bound_ns: self.offset.bound_ns + drifted_ns, ..self.offset }
-    }
+    rivals: Vec<(i64, TimeOffset)>,
 }
 
 impl Timesync {
@@ -90,49 +72,47 @@ impl Timesync {
         if self.requests.len() == MAX_REQUESTS {
             self.requests.pop_front();
         }
-        self.requests.push_back(Request { stamp, sent_ns });
+        self.requests.push_back((stamp, sent_ns));
     }
 
-    /// Takes in an answer, `tc1` and `ts1`, that arrived at `arrived_ns` (CLOCK_MONOTONIC). Answers to what was
-    /// not asked, or was answered before, change nothing: others ask on the same line. Returns whether the
-    /// autopilot's clock turns out to be another than before.
+    /// Takes in an answer, `tc1` and `ts1`, that arrived at `arrived_ns` (CLOCK_MONOTONIC). Answers
+    /// to what was not asked, or was answered before, change nothing: others ask on the same line.
+    /// Returns whether the autopilot's clock turns out to be another than before.
     pub fn on_answer(&mut self, autopilot_ns: i64, stamp: i64, arrived_ns: i64) -> bool {
-        let is_it = |request: &Request| request.stamp == stamp;
-        let place = self.requests.iter().position(is_it);
-        let Some(request) = place.and_then(|place| self.requests.remove(place)) else {
+        let place = self.requests.iter().position(|(asked, _)| *asked == stamp);
+        let Some((_, sent_ns)) = place.and_then(|place| self.requests.remove(place)) else {
             return false;
         };
-        let round_ns = arrived_ns.saturating_sub(request.sent_ns);
+        let round_ns = arrived_ns.saturating_sub(sent_ns);
         if !(0..LONGEST_ROUND_NS).contains(&round_ns) {
             return false;
         }
-        let middle_ns = request.sent_ns.saturating_add(round_ns / 2);
+        let middle_ns = sent_ns.saturating_add(round_ns / 2);
         let Some(autopilot_less_monotonic_ns) = autopilot_ns.checked_sub(middle_ns) else {
             return false;
         };
         let bound_ns = round_ns / 2 + 1;
         let offset = TimeOffset { autopilot_less_monotonic_ns, bound_ns };
-        self.take(Answer { offset, at_ns: arrived_ns })
+        self.take(arrived_ns, offset)
     }
 
     /// Returns whether the clock is another than before.
-    fn take(&mut self, answer: Answer) -> bool {
-        self.answers.retain(|kept| answer.at_ns.saturating_sub(kept.at_ns).abs() < FORGOTTEN_NS);
-        let contradicts = self.best(answer.at_ns).is_some_and(|best| {
-            let apart = best
-                .autopilot_less_monotonic_ns
-                .saturating_sub(answer.offset.autopilot_less_monotonic_ns);
-            apart.saturating_abs() > best.bound_ns + answer.offset.bound_ns + SLACK_NS
+    fn take(&mut self, arrived_ns: i64, offset: TimeOffset) -> bool {
+        self.answers.retain(|(at_ns, _)| arrived_ns.saturating_sub(*at_ns).abs() < FORGOTTEN_NS);
+        let contradicts = self.best(arrived_ns).is_some_and(|best| {
+            let apart =
+                best.autopilot_less_monotonic_ns.saturating_sub(offset.autopilot_less_monotonic_ns);
+            apart.saturating_abs() > best.bound_ns + offset.bound_ns + SLACK_NS
         });
         if !contradicts {
             self.rivals.clear();
             if self.answers.len() == MAX_ANSWERS {
                 self.answers.pop_front();
             }
-            self.answers.push_back(answer);
+            self.answers.push_back((arrived_ns, offset));
             return false;
         }
-        self.rivals.push(answer);
+        self.rivals.push((arrived_ns, offset));
         let is_another = self.rivals.len() == CONTRADICTIONS;
         if is_another {
             self.answers = std::mem::take(&mut self.rivals).into();
@@ -140,8 +120,8 @@ impl Timesync {
         is_another
     }
 
-    /// The autopilot's clock at `now_ns` (CLOCK_MONOTONIC); none until enough answers came, and where none came
-    /// for a minute.
+    /// The autopilot's clock at `now_ns` (CLOCK_MONOTONIC); none until enough answers came, and
+    /// where none came for a minute.
     pub fn offset(&self, now_ns: i64) -> Option<TimeOffset> {
         self.best(now_ns).filter(|_| self.answers.len() >= LEAST_ANSWERS)
     }
@@ -149,8 +129,13 @@ impl Timesync {
     fn best(&self, now_ns: i64) -> Option<TimeOffset> {
         self.answers
             .iter()
-            .filter(|answer| now_ns.saturating_sub(answer.at_ns) < FORGOTTEN_NS)
-            .map(|answer| answer.offset(now_ns))
+            .filter(|(at_ns, _)| now_ns.saturating_sub(*at_ns) < FORGOTTEN_NS)
+            .map(|(at_ns, offset)| {
+                // The bound has grown since, by the drift.
+                let since_ns = now_ns.saturating_sub(*at_ns).clamp(0, FORGOTTEN_NS);
+                let drifted_ns = since_ns * DRIFT_PPM / 1_000_000;
+                TimeOffset { bound_ns: offset.bound_ns + drifted_ns, ..*offset }
+            })
             .min_by_key(|offset| offset.bound_ns)
     }
 }
@@ -164,7 +149,8 @@ mod tests {
 
     const MS: i64 = 1_000_000;
 
-    /// Requests at these times, which take so long there and back; the autopilot's clock reads what `clock` says.
+    /// Requests at these times, which take so long there and back; the autopilot's clock reads what
+    /// `clock` says.
     fn ask(
         timesync: &mut Timesync,
         began_ns: i64,

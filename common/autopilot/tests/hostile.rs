@@ -1,10 +1,11 @@
-//! A million byte strings that are no messages, or messages that nobody means, and questions between them.
+//! A million byte strings that are no messages, or messages that nobody means, and questions
+//! between them.
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 
-use flockeye_autopilot::AutopilotParameters;
 use flockeye_autopilot::core::Core;
 use flockeye_autopilot::link::decode;
-use flockeye_autopilot::messages::{Outgoing, WireClock};
+use flockeye_autopilot::messages::Outgoing;
+use flockeye_config::Autopilot;
 use mavlink::dialects::development::{MavMessage, TIMESYNC_DATA};
 use mavlink::{MavHeader, Message, calculate_crc, write_v2_msg};
 use rand::rngs::StdRng;
@@ -67,8 +68,7 @@ fn hostile(random: &mut StdRng, bytes: &mut Vec<u8>) {
 
 #[test]
 fn a_million_hostile_strings_do_no_harm_and_questions_between_them_are_answered() {
-    let parameters = AutopilotParameters::default();
-    let mut core = Core::new(parameters, WireClock::new(1_700_000_000_000_000_000, 0));
+    let mut core = Core::new(Autopilot::default(), 1_700_000_000_000_000_000);
     let mut random = StdRng::seed_from_u64(20_26);
     let mut bytes = Vec::new();
     let (mut heard, mut asked, mut answered, mut before_bytes) = (0u64, 0u64, 0u64, 0);
@@ -96,7 +96,8 @@ fn a_million_hostile_strings_do_no_harm_and_questions_between_them_are_answered(
         }
     }
     assert!(heard > STRINGS / 10, "{heard} messages of the right form were heard");
-    // Bytes before a question may claim it as a part of a message that is right by chance; hardly ever.
+    // Bytes before a question may claim it as a part of a message that is right by chance; hardly
+    // ever.
     assert!(answered + 3 >= asked && answered <= asked, "{answered} of {asked} were answered");
     let grown_bytes = resident_bytes().saturating_sub(before_bytes);
     assert!(grown_bytes < 4 << 20, "memory has grown by {grown_bytes} bytes");

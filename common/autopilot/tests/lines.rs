@@ -12,9 +12,11 @@ use std::sync::atomic::{AtomicBool, AtomicU32, Ordering::Relaxed};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-use common::{neighbour, watched};
+use common::neighbour;
 use flockeye_autopilot::link::decode;
-use flockeye_autopilot::{Autopilot, AutopilotParameters, AutopilotStatus};
+use flockeye_autopilot::{AutopilotLine, AutopilotStatus};
+use flockeye_config::Autopilot;
+use flockeye_require::loopback::watched;
 use flockeye_runtime::clock;
 use mavlink::dialects::ardupilotmega::{MavMessage as ArduPilotMessage, OBSTACLE_DISTANCE_3D_DATA};
 use mavlink::dialects::development::{HEARTBEAT_DATA, MavMessage, TIMESYNC_DATA};
@@ -26,10 +28,9 @@ use tracing_subscriber::fmt::MakeWriter;
 
 const AUTOPILOT: MavHeader = MavHeader { system_id: 1, component_id: 1, sequence: 0 };
 
-fn open(link: String) -> Autopilot {
-    let parameters =
-        AutopilotParameters { link, target: Some("kite".into()), ..Default::default() };
-    Autopilot::open(&parameters).unwrap()
+fn open(link: String) -> AutopilotLine {
+    let settings = Autopilot { link, target: Some("kite".into()), ..Default::default() };
+    AutopilotLine::open(&settings).unwrap()
 }
 
 /// A port of loopback that nobody has.
@@ -62,7 +63,10 @@ fn receive(socket: &UdpSocket) -> Vec<MavMessage> {
 }
 
 /// Waits until the line is as wanted; the watchdog ends a test that waits in vain.
-fn wait(autopilot: &Autopilot, is_wanted: impl Fn(&AutopilotStatus) -> bool) -> AutopilotStatus {
+fn wait(
+    autopilot: &AutopilotLine,
+    is_wanted: impl Fn(&AutopilotStatus) -> bool,
+) -> AutopilotStatus {
     loop {
         let status = autopilot.status();
         if is_wanted(&status) {
@@ -152,7 +156,8 @@ fn questions_are_answered_between_hostile_datagrams() {
             let is_answer = |message: &MavMessage| matches!(message, MavMessage::TIMESYNC(time) if time.tc1 != 0 && time.ts1 == question);
             let mut is_answered = false;
             while !is_answered {
-                // No more than the system holds for a reader that is late, or the question would be dropped.
+                // No more than the system holds for a reader that is late, or the question would be
+                // dropped.
                 for sender in [&theirs, &stranger].into_iter().cycle().take(20) {
                     hostile(&mut bytes);
                     sender.send_to(&bytes, address).unwrap();
@@ -170,7 +175,8 @@ fn questions_are_answered_between_hostile_datagrams() {
 fn who_is_not_there_yet_is_told_when_it_comes() {
     watched(|| {
         let address = free();
-        // Nobody has the port: the system says so after each message, which is no reason to give the line up.
+        // Nobody has the port: the system says so after each message, which is no reason to give
+        // the line up.
         let ours = open(format!("udpout:{address}"));
         wait(&ours, |status| status.sent > 5);
         assert!(ours.status().is_open);
@@ -247,7 +253,7 @@ fn a_cable_that_is_out_is_said_once_and_its_line_is_opened_when_it_is_in() {
     let log = Log::default();
     let subscriber = tracing_subscriber::fmt().with_writer(log.clone()).with_ansi(false).finish();
     tracing::subscriber::set_global_default(subscriber).unwrap();
-    watched(|| {
+    watched(move || {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("no-such-line");
         let ours = open(format!("serial:{}:115200", path.display()));
@@ -298,7 +304,8 @@ fn a_line_that_takes_no_more_holds_nobody_up() {
             }
             std::thread::sleep(Duration::from_millis(20));
         }
-        // Each message that is given up takes a tenth of a second. Once or twice a busy machine may do that too.
+        // Each message that is given up takes a tenth of a second. Once or twice a busy machine may
+        // do that too.
         assert!(held_up < 3, "{held_up} of five");
         let began = Instant::now();
         drop(ours);
@@ -317,7 +324,8 @@ fn noise_without_end_does_not_keep_the_line_from_ending() {
         let (is_done, written) = (AtomicBool::new(false), AtomicU32::new(0));
         std::thread::scope(|scope| {
             scope.spawn(|| {
-                // Some 60 kilobytes a second, as a line with the wrong rate. It fails once the line is closed.
+                // Some 60 kilobytes a second, as a line with the wrong rate. It fails once the line
+                // is closed.
                 while !is_done.load(Relaxed) && (&theirs).write_all(&[0xfd; 64]).is_ok() {
                     written.fetch_add(1, Relaxed);
                     std::thread::sleep(Duration::from_millis(1));

@@ -20,11 +20,12 @@ pub struct Configuration {
     /// The bodies, a JSON file of marker ids and corner positions.
     #[arg(long, value_name = "FILE")]
     pub bodies: Option<PathBuf>,
-    /// How it runs: flight (in real time), repeat (every frame, in the time that flight has), unlimited
-    /// (every frame, however long it takes) or stills (every frame for itself).
+    /// How it runs: flight (in real time), repeat (every frame, in the time that flight has),
+    /// unlimited (every frame, however long it takes) or stills (every frame for itself).
     #[arg(long, value_name = "NAME", value_parser = Profile::ALL.map(Profile::name))]
     pub profile: Option<String>,
-    /// Replaced by --profile: latest is flight, lossless is repeat (or stills with fusion.filter: none).
+    /// Replaced by --profile: latest is flight, lossless is repeat (or stills with fusion.filter:
+    /// none).
     #[arg(long, hide = true, conflicts_with = "profile", value_parser = ["latest", "lossless"])]
     pub flow: Option<String>,
     /// Override any key of the configuration.
@@ -65,15 +66,15 @@ impl Configuration {
         Ok(pipeline)
     }
 
-    /// Whether the command line says how the pipeline runs. `--flow lossless` alone leaves it open whether
-    /// frames stand for themselves.
+    /// Whether the command line says how the pipeline runs. `--flow lossless` alone leaves it open
+    /// whether frames stand for themselves.
     pub fn says_profile(&self) -> bool {
         let of_settings = self.set.iter().any(|setting| says_how_it_runs(setting));
         self.profile.is_some() || of_settings || self.flow.as_deref() == Some("latest")
     }
 
-    /// This configuration in a profile that works on every frame: its own, with `defaults` below it, or
-    /// `repeat` in place of `flight`.
+    /// This configuration in a profile that works on every frame: its own, with `defaults` below
+    /// it, or `repeat` in place of `flight`.
     ///
     /// # Errors
     /// Everything that is wrong with it.

@@ -7,16 +7,14 @@ use crate::problem::{Origin, Problem};
 
 /// A value and where it was written.
 #[derive(Debug, Clone)]
-pub struct Node {
-    /// Where.
+pub(crate) struct Node {
     pub origin: Origin,
-    /// What.
     pub data: Data,
 }
 
 /// What a configuration document is made of.
 #[derive(Debug, Clone)]
-pub enum Data {
+pub(crate) enum Data {
     /// Null, a truth value, a number or a text.
     Scalar(Value),
     /// A list.
@@ -27,10 +25,8 @@ pub enum Data {
 
 /// A key and where it was written.
 #[derive(Debug, Clone)]
-pub struct Key {
-    /// Where.
+pub(crate) struct Key {
     pub origin: Origin,
-    /// Its name.
     pub name: String,
 }
 
@@ -40,7 +36,7 @@ impl Node {
     /// # Errors
     /// The first place at which it is no YAML, or a construct that configuration has no use for
     /// (keys that are no text, tags, several documents).
-    pub fn parse(yaml: &str) -> Result<Self, Problem> {
+    pub(crate) fn parse(yaml: &str) -> Result<Self, Problem> {
         let documents = MarkedYaml::load_from_str(yaml).map_err(|error| {
             let origin =
                 Origin::File { line: error.marker().line(), column: error.marker().col() + 1 };
@@ -61,7 +57,7 @@ impl Node {
     }
 
     /// A document of JSON, as programs write it. All of it has the same place.
-    pub fn from_json(value: Value) -> Self {
+    pub(crate) fn from_json(value: Value) -> Self {
         let origin = Origin::File { line: 1, column: 1 };
         let data = match value {
             Value::Array(items) => Data::List(items.into_iter().map(Self::from_json).collect()),
@@ -79,7 +75,7 @@ impl Node {
     ///
     /// # Errors
     /// A text that is not `key.path=value`, or a path that leads through something that is no section.
-    pub fn set(&mut self, assignment: &str) -> Result<(), Problem> {
+    pub(crate) fn set(&mut self, assignment: &str) -> Result<(), Problem> {
         let origin = Origin::Override(assignment.to_owned());
         let Some((path, value)) = assignment.split_once('=') else {
             return Err(Problem::new(origin, "", "write key.path=value".into()));
@@ -91,37 +87,44 @@ impl Node {
             value.data = Data::Scalar(Value::Null);
         }
         value.relocate(&origin);
+        match self.entry(path, &origin) {
+            Ok(node) => *node = value,
+            Err(name) => {
+                let what = format!("'{name}' is inside a value that is no section");
+                return Err(Problem::new(origin, path, what));
+            }
+        }
+        Ok(())
+    }
+
+    /// The value at a dotted path. Keys that are missing are added, with `origin` and without a
+    /// value.
+    ///
+    /// # Errors
+    /// The name of a key inside a value that is no section.
+    fn entry<'p>(&mut self, path: &'p str, origin: &Origin) -> Result<&mut Self, &'p str> {
         let mut node = self;
         for name in path.split('.').map(str::trim) {
             if matches!(node.data, Data::Scalar(Value::Null)) {
                 node.data = Data::Section(Vec::new());
             }
-            let Data::Section(entries) = &mut node.data else {
-                return Err(Problem::new(
-                    origin,
-                    path,
-                    format!("'{name}' is inside a value that is no section"),
-                ));
-            };
+            let Data::Section(entries) = &mut node.data else { return Err(name) };
             let index = match entries.iter().position(|(key, _)| key.name == name) {
                 Some(index) => index,
                 None => {
                     let key = Key { origin: origin.clone(), name: name.to_owned() };
-                    entries.push((
-                        key,
-                        Self { origin: origin.clone(), data: Data::Scalar(Value::Null) },
-                    ));
+                    let empty = Self { origin: origin.clone(), data: Data::Scalar(Value::Null) };
+                    entries.push((key, empty));
                     entries.len() - 1
                 }
             };
             node = &mut entries[index].1;
         }
-        *node = value;
-        Ok(())
+        Ok(node)
     }
 
     /// The document without the origins, as serde wants it. A key without a value is a key left out.
-    pub fn to_json(&self) -> Value {
+    pub(crate) fn to_json(&self) -> Value {
         match &self.data {
             Data::Scalar(value) => value.clone(),
             Data::List(items) => items.iter().map(Self::to_json).collect(),
@@ -134,7 +137,7 @@ impl Node {
     }
 
     /// Where the value at a dotted path was written, or the section nearest to it that was.
-    pub fn origin_of(&self, path: &str) -> Origin {
+    pub(crate) fn origin_of(&self, path: &str) -> Origin {
         let mut node = self;
         for name in path.split('.') {
             let next = match &node.data {
@@ -153,7 +156,7 @@ impl Node {
     }
 
     /// The value at a dotted path; none where nothing, or an empty value, was written.
-    pub fn get(&self, path: &str) -> Option<&Self> {
+    pub(crate) fn get(&self, path: &str) -> Option<&Self> {
         let mut node = self;
         for name in path.split('.') {
             let Data::Section(entries) = &node.data else { return None };
@@ -163,7 +166,7 @@ impl Node {
     }
 
     /// Removes the key at a dotted path, and gives its value; none where it was not written.
-    pub fn take(&mut self, path: &str) -> Option<Self> {
+    pub(crate) fn take(&mut self, path: &str) -> Option<Self> {
         let (name, rest) = match path.split_once('.') {
             Some((name, rest)) => (name, Some(rest)),
             None => (path, None),
@@ -177,27 +180,11 @@ impl Node {
     }
 
     /// Puts a value at a dotted path at which nothing stands; sections that are missing are added.
-    pub fn put(&mut self, path: &str, value: Self) {
-        if matches!(self.data, Data::Scalar(Value::Null)) {
-            self.data = Data::Section(Vec::new());
-        }
-        let Data::Section(entries) = &mut self.data else { return };
-        let (name, rest) = match path.split_once('.') {
-            Some((name, rest)) => (name, Some(rest)),
-            None => (path, None),
-        };
-        entries.retain(|(key, node)| {
-            rest.is_some() || key.name != name || !matches!(node.data, Data::Scalar(Value::Null))
-        });
-        let (key, origin) = (name.to_owned(), value.origin.clone());
-        match (rest, entries.iter_mut().find(|(key, _)| key.name == name)) {
-            (None, _) => entries.push((Key { origin, name: key }, value)),
-            (Some(rest), Some((_, node))) => node.put(rest, value),
-            (Some(rest), None) => {
-                let mut node = Self { origin: origin.clone(), data: Data::Section(Vec::new()) };
-                node.put(rest, value);
-                entries.push((Key { origin, name: key }, node));
-            }
+    pub(crate) fn put(&mut self, path: &str, value: Self) {
+        // The key may be there without a value.
+        self.take(path);
+        if let Ok(node) = self.entry(path, &value.origin.clone()) {
+            *node = value;
         }
     }
 

@@ -6,7 +6,7 @@ use std::sync::{Mutex, PoisonError};
 use serde_json::{Value, json};
 
 use crate::document::{Data, Node};
-use crate::problem::{Origin, Problem, Problems};
+use crate::problem::{Origin, Problem};
 use crate::schema;
 use crate::types::Profile;
 
@@ -42,7 +42,7 @@ const FILTER: &str =
     "it belongs to the filter's design, and is tested and measured with this value alone";
 
 /// Keys that are constants now: the value as JSON, and why nobody had a reason to change it.
-const FIXED: [(&str, &str, &str); 20] = [
+const FIXED: [(&str, &str, &str); 23] = [
     ("search.costs.source_ms", "20.0", STATED),
     ("search.costs.egomotion_ms", "2.2", STATED),
     ("search.costs.proposals_ms", "4.5", STATED),
@@ -71,6 +71,9 @@ const FIXED: [(&str, &str, &str); 20] = [
     ("partition.margin_deg", "null", "partition.nearest_m says how far views overlap"),
     ("partition.magnification", "null", "the profile says it: 1, and 2 for stills"),
     ("simulator.lens_blur_px", "0.8", "it is that of the cameras that were measured"),
+    ("fusion.angular_acceleration", "3.0", FILTER),
+    ("autopilot.max_age_ms", "500", "an older pose is no obstacle's place any more"),
+    ("recording.split_mb", "1000", "flockeye record --split takes another size"),
 ];
 
 /// Whether a setting `key.path=value` says how the pipeline runs, by today's key or a former one.
@@ -81,7 +84,11 @@ pub fn says_how_it_runs(setting: &str) -> bool {
 
 /// Translates the former keys of `document`. What contradicts itself is added to `problems`, and what
 /// became of each key to `notices`.
-pub(crate) fn translate(document: &mut Node, problems: &mut Problems, notices: &mut Vec<String>) {
+pub(crate) fn translate(
+    document: &mut Node,
+    problems: &mut Vec<Problem>,
+    notices: &mut Vec<String>,
+) {
     profile(document, problems, notices);
     moved(document, problems, notices);
     rewritten(document, notices);
@@ -89,7 +96,7 @@ pub(crate) fn translate(document: &mut Node, problems: &mut Problems, notices: &
 }
 
 /// Gives keys their names of today.
-fn moved(document: &mut Node, problems: &mut Problems, notices: &mut Vec<String>) {
+fn moved(document: &mut Node, problems: &mut Vec<Problem>, notices: &mut Vec<String>) {
     for (former, today) in MOVED {
         let Some(node) = document.take(former) else { continue };
         let origin = node.origin.clone();
@@ -99,7 +106,7 @@ fn moved(document: &mut Node, problems: &mut Problems, notices: &mut Vec<String>
         if document.get(today).is_some() {
             let what =
                 format!("is called {today} now, which is written too. Cure: leave {former} out");
-            problems.add(Problem::new(origin, former, what));
+            problems.push(Problem::new(origin, former, what));
         } else {
             notices.push(format!(
                 "{origin}: {former} is called {today} now; the next release refuses it"
@@ -127,7 +134,7 @@ fn rewritten(document: &mut Node, notices: &mut Vec<String>) {
 }
 
 /// Takes away keys that are constants now, and refuses other values than theirs.
-fn fixed(document: &mut Node, problems: &mut Problems, notices: &mut Vec<String>) {
+fn fixed(document: &mut Node, problems: &mut Vec<Problem>, notices: &mut Vec<String>) {
     for (path, value, why) in FIXED {
         let Some(node) = document.take(path) else { continue };
         let (origin, found) = (node.origin.clone(), node.to_json());
@@ -143,7 +150,7 @@ fn fixed(document: &mut Node, problems: &mut Problems, notices: &mut Vec<String>
             "null" => "is no key any more".to_owned(),
             _ => format!("is fixed at {value} now"),
         };
-        problems.add(Problem::new(origin, path, format!("{fixed}: {why}. Cure: leave it out")));
+        problems.push(Problem::new(origin, path, format!("{fixed}: {why}. Cure: leave it out")));
     }
     for section in GONE {
         if document.get(section).is_none_or(|node| node.to_json() == json!({})) {
@@ -191,8 +198,8 @@ struct Former {
 }
 
 /// `flow`, `search.budget` and `fusion.filter` together are `profile`.
-fn profile(document: &mut Node, problems: &mut Problems, notices: &mut Vec<String>) {
-    let found_before = problems.0.len();
+fn profile(document: &mut Node, problems: &mut Vec<Problem>, notices: &mut Vec<String>) {
+    let found_before = problems.len();
     let mut written = Vec::new();
     for (path, values) in FORMER_PROFILE {
         let Some(node) = document.take(path) else { continue };
@@ -202,7 +209,7 @@ fn profile(document: &mut Node, problems: &mut Problems, notices: &mut Vec<Strin
         }
     }
     let Some(first) = written.first() else { return };
-    if problems.0.len() > found_before {
+    if problems.len() > found_before {
         return;
     }
     let names: Vec<String> =
@@ -216,7 +223,7 @@ fn profile(document: &mut Node, problems: &mut Problems, notices: &mut Vec<Strin
             let what = format!("{PROFILE} says it now, and is written at {}", today.origin);
             for key in &written {
                 let what = format!("{what}. Cure: leave {} out", key.path);
-                problems.add(Problem::new(key.origin.clone(), key.path, what));
+                problems.push(Problem::new(key.origin.clone(), key.path, what));
             }
         }
         return;
@@ -240,7 +247,7 @@ fn profile(document: &mut Node, problems: &mut Problems, notices: &mut Vec<Strin
         Err((path, what)) => {
             let origin =
                 written.iter().find(|key| key.path == path).unwrap_or(first).origin.clone();
-            problems.add(Problem::new(origin, path, format!("{names}: {what}")));
+            problems.push(Problem::new(origin, path, format!("{names}: {what}")));
         }
     }
 }

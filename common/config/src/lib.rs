@@ -29,8 +29,5 @@ pub use former_keys::says_how_it_runs;
 pub use instance_name::is_instance_name;
 pub use problem::{ConfigError, Origin, Problem};
 pub use read::{FLOW, RESOLVED, json_schema, read_document};
-pub use resolve::{
-    BodySetError, CameraSettingError, Division, MaskFileError, ResolveError, Resolved,
-    SphereViewsError, bodies, isometry, read_bodies,
-};
+pub use resolve::{Division, ResolveError, Resolved, SettingError, bodies, isometry, read_bodies};
 pub use types::*;

@@ -2,21 +2,21 @@
 
 use std::net::IpAddr;
 
-use flockeye_contract::StageName;
+use flockeye_contract::{StageName, Transfer};
 use flockeye_geometry::body::{Bodies, Body};
 use flockeye_geometry::partition::PartitionError;
 
 use crate::document::Node;
 use crate::instance_name::is_instance_name;
-use crate::problem::{Problem, Problems};
-use crate::resolve::{self, Division, SphereViewsError, preset_body};
+use crate::problem::Problem;
+use crate::resolve::{self, Division, preset_body};
 use crate::types::{
-    AtEnd, BodySet, Flow, Gateway, GatewayMode, InertialSource, MavlinkAddress, Mount, Partition,
-    Pipeline, Preset, PresetBody, RecordedFrames, Response, StageInfo,
+    AtEnd, BodySet, Flow, Gateway, GatewayMode, InertialSource, MavlinkAddress, Mount,
+    PartitionSettings, Pipeline, Preset, PresetBody, RecordedFrames, may_have_replicas,
 };
 
 /// Semantic validation: appends each violated constraint of `pipeline` to `problems`.
-pub(super) fn check(pipeline: &Pipeline, document: &Node, problems: &mut Problems) {
+pub(super) fn check(pipeline: &Pipeline, document: &Node, problems: &mut Vec<Problem>) {
     let mut meaning = Meaning { document, problems };
     meaning.instance(&pipeline.instance.0);
     meaning.name("observer.name", &pipeline.observer.name);
@@ -35,12 +35,12 @@ pub(super) fn check(pipeline: &Pipeline, document: &Node, problems: &mut Problem
 
 struct Meaning<'a> {
     document: &'a Node,
-    problems: &'a mut Problems,
+    problems: &'a mut Vec<Problem>,
 }
 
 impl Meaning<'_> {
     fn problem(&mut self, path: &str, what: String) {
-        self.problems.add(Problem::new(self.document.origin_of(path), path, what));
+        self.problems.push(Problem::new(self.document.origin_of(path), path, what));
     }
 
     fn instance(&mut self, name: &str) {
@@ -101,7 +101,7 @@ impl Meaning<'_> {
         if let Some(fault) = fault {
             self.problem(&fault.key, fault.reason);
         }
-        if pipeline.camera.response == Response::Table
+        if pipeline.camera.response == Transfer::Table
             && let Err(fault) = resolve::response_table(&pipeline.camera)
         {
             self.problem(&fault.key, fault.reason);
@@ -196,15 +196,10 @@ impl Meaning<'_> {
                 let Ok(camera) = resolve::camera(&pipeline.camera) else { return };
                 let near = division.views(pipeline, &camera).err();
                 let far = resolve::high_resolution_tiles(pipeline, &camera).err();
-                for error in [near, far].into_iter().flatten() {
-                    let path = match error {
-                        SphereViewsError::TooLarge { .. } => "partition.count",
-                        SphereViewsError::TilesTooLarge { .. } => "search.far_magnification",
-                        SphereViewsError::Partition(_) => continue,
-                    };
-                    let text = error.to_string();
-                    let what = text.trim_start_matches(&format!("{path}: ")).to_owned();
-                    self.problem(path, what);
+                for fault in [near, far].into_iter().flatten() {
+                    if fault.key != resolve::PARTITION {
+                        self.problem(&fault.key, fault.reason);
+                    }
                 }
                 return;
             }
@@ -213,7 +208,7 @@ impl Meaning<'_> {
             return self.problem("partition", error.to_string());
         }
         // The key whose value caused it.
-        let path = match partition.count == Partition::default().count {
+        let path = match partition.count == PartitionSettings::default().count {
             true => "partition.nearest_m",
             false => "partition.count",
         };
@@ -432,8 +427,8 @@ impl Meaning<'_> {
     fn stages(&mut self, pipeline: &Pipeline) {
         for (stage_name, stage) in pipeline.stages.iter() {
             let name = stage_name.name();
-            let may_have_replicas = StageInfo::of(stage_name).may_have_replicas;
-            if stage.replicas.is_some_and(|replicas| replicas > 1) && !may_have_replicas {
+            let has_replicas = stage.replicas.is_some_and(|replicas| replicas > 1);
+            if has_replicas && !may_have_replicas(stage_name) {
                 self.problem(
                     &format!("stages.{name}.replicas"),
                     format!("only detection runs in several processes, {name} in one"),

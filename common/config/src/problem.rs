@@ -50,35 +50,16 @@ impl fmt::Display for Problem {
     }
 }
 
-/// Everything that is wrong with a configuration.
-#[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub(crate) struct Problems(pub(crate) Vec<Problem>);
-
-impl Problems {
-    pub(crate) fn add(&mut self, problem: Problem) {
-        self.0.push(problem);
-    }
-}
-
 /// Why a configuration was refused.
+#[expect(missing_docs, reason = "the texts name the fields")]
 #[derive(Debug, thiserror::Error)]
 pub enum ConfigError {
     /// The file cannot be read.
     #[error("cannot read {path}: {error}")]
-    Read {
-        /// The file.
-        path: PathBuf,
-        /// The system's reason.
-        error: std::io::Error,
-    },
+    Read { path: PathBuf, error: std::io::Error },
     /// The document is wrong in these places.
     #[error("{name} has {}:\n{}", count(.problems), list(.problems))]
-    Problems {
-        /// The file, or what stands for it.
-        name: String,
-        /// All that is wrong, in the order of the document.
-        problems: Vec<Problem>,
-    },
+    Problems { name: String, problems: Vec<Problem> },
 }
 
 fn count(problems: &[Problem]) -> String {

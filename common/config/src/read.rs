@@ -6,7 +6,7 @@ use schemars::JsonSchema;
 use serde::de::DeserializeOwned;
 
 use crate::document::Node;
-use crate::problem::{ConfigError, Origin, Problem, Problems};
+use crate::problem::{ConfigError, Origin, Problem};
 use crate::types::{InertialSource, Pipeline, Security};
 use crate::{former_keys, meaning, schema};
 
@@ -66,32 +66,32 @@ impl Pipeline {
     pub fn parse(yaml: &str, overrides: &[String], name: &str) -> Result<Self, ConfigError> {
         let refused = |problems| ConfigError::Problems { name: name.to_owned(), problems };
         let mut document = Node::parse(yaml).map_err(|problem| refused(vec![problem]))?;
-        let mut problems = Problems::default();
+        let mut problems = Vec::new();
         for assignment in overrides {
             if let Err(problem) = document.set(assignment) {
-                problems.add(problem);
+                problems.push(problem);
             }
         }
         let mut notices = Vec::new();
         former_keys::translate(&mut document, &mut problems, &mut notices);
         former_keys::warn(notices);
         schema::check(&document, json_schema().as_value(), &mut problems);
-        if problems.0.is_empty() {
+        if problems.is_empty() {
             match serde_json::from_value::<Self>(document.to_json()) {
                 Ok(pipeline) => {
                     meaning::check(&pipeline, &document, &mut problems);
-                    if problems.0.is_empty() {
+                    if problems.is_empty() {
                         return Ok(pipeline);
                     }
                 }
                 // The schema is made from the same types, so the check above missed something. The
                 // message is serde's.
                 Err(error) => {
-                    problems.add(Problem::new(document.origin.clone(), "", error.to_string()))
+                    problems.push(Problem::new(document.origin.clone(), "", error.to_string()))
                 }
             }
         }
-        Err(refused(problems.0))
+        Err(refused(problems))
     }
 }
 
@@ -115,10 +115,10 @@ impl Pipeline {
         if document.get("profile").is_some() {
             document.take(FLOW);
         }
-        let mut problems = Problems::default();
+        let mut problems = Vec::new();
         // Nobody can change what is written, so the notices are for nobody.
         former_keys::translate(&mut document, &mut problems, &mut Vec::new());
-        match problems.0.into_iter().next() {
+        match problems.into_iter().next() {
             Some(problem) => Err(refused(problem)),
             None => serde_json::from_value(document.to_json()).map_err(wrong),
         }
@@ -141,10 +141,10 @@ pub fn read_document<T: DeserializeOwned + JsonSchema>(path: &Path) -> Result<T,
         .map_err(|error| ConfigError::Read { path: path.to_owned(), error })?;
     let refused = |problems| ConfigError::Problems { name: path.display().to_string(), problems };
     let document = Node::parse(&yaml).map_err(|problem| refused(vec![problem]))?;
-    let mut problems = Problems::default();
+    let mut problems = Vec::new();
     schema::check(&document, schemars::schema_for!(T).as_value(), &mut problems);
-    if !problems.0.is_empty() {
-        return Err(refused(problems.0));
+    if !problems.is_empty() {
+        return Err(refused(problems));
     }
     serde_json::from_value(document.to_json()).map_err(|error| {
         refused(vec![Problem::new(document.origin.clone(), "", error.to_string())])

@@ -6,22 +6,22 @@
 use serde_json::{Map, Value};
 
 use crate::document::{Data, Node};
-use crate::problem::{Problem, Problems};
+use crate::problem::Problem;
 
 /// Adds everything in `node` that `schema` does not allow to `problems`.
-pub(super) fn check(node: &Node, schema: &Value, problems: &mut Problems) {
+pub(super) fn check(node: &Node, schema: &Value, problems: &mut Vec<Problem>) {
     check_at(node, schema, "", problems);
 }
 
 /// Adds everything in `node`, which stands at the dotted `path`, that `schema` does not allow.
-pub(super) fn check_at(node: &Node, schema: &Value, path: &str, problems: &mut Problems) {
+pub(super) fn check_at(node: &Node, schema: &Value, path: &str, problems: &mut Vec<Problem>) {
     Checker { definitions: schema.get("$defs").and_then(Value::as_object), problems }
         .node(node, schema, path);
 }
 
 struct Checker<'a> {
     definitions: Option<&'a Map<String, Value>>,
-    problems: &'a mut Problems,
+    problems: &'a mut Vec<Problem>,
 }
 
 impl<'a> Checker<'a> {
@@ -151,7 +151,7 @@ impl<'a> Checker<'a> {
                     } else {
                         format!("unknown key{hint}")
                     };
-                    self.problems.add(Problem::new(
+                    self.problems.push(Problem::new(
                         key.origin.clone(),
                         &join(path, &key.name),
                         what,
@@ -180,7 +180,7 @@ impl<'a> Checker<'a> {
     }
 
     fn problem(&mut self, node: &Node, path: &str, what: String) {
-        self.problems.add(Problem::new(node.origin.clone(), path, what));
+        self.problems.push(Problem::new(node.origin.clone(), path, what));
     }
 }
 

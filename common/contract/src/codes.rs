@@ -6,18 +6,10 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// A code that this version of the contract does not know.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
-#[error("unknown {what} code {code}")]
-pub struct UnknownCode {
-    /// Which enumeration.
-    pub what: &'static str,
-    /// The number found.
-    pub code: u32,
-}
+use crate::ContractError;
 
 /// A name of Rust's in small letters with underscores, and its length. Names have at most 32 letters.
-const fn snake_case(name: &str) -> ([u8; 64], usize) {
+pub(crate) const fn snake_case(name: &str) -> ([u8; 64], usize) {
     let (name, mut snake, mut length, mut place) = (name.as_bytes(), [0; 64], 0, 0);
     while place < name.len() {
         if name[place].is_ascii_uppercase() && place > 0 {
@@ -32,7 +24,7 @@ const fn snake_case(name: &str) -> ([u8; 64], usize) {
 }
 
 /// The text of these bytes, which are ASCII.
-const fn text((bytes, length): &([u8; 64], usize)) -> &str {
+pub(crate) const fn text((bytes, length): &([u8; 64], usize)) -> &str {
     match str::from_utf8(bytes.split_at(*length).0) {
         Ok(text) => text,
         Err(_) => "",
@@ -78,12 +70,12 @@ macro_rules! codes {
         }
 
         impl TryFrom<u32> for $name {
-            type Error = UnknownCode;
+            type Error = ContractError;
 
-            fn try_from(code: u32) -> Result<Self, UnknownCode> {
+            fn try_from(code: u32) -> Result<Self, ContractError> {
                 match code {
                     $($code => Ok($name::$variant),)+
-                    code => Err(UnknownCode { what: $what, code }),
+                    code => Err(ContractError::Code { what: $what, code }),
                 }
             }
         }
@@ -315,7 +307,10 @@ mod tests {
         for &state in TrackState::ALL {
             assert_eq!(TrackState::try_from(state.code()), Ok(state));
         }
-        assert_eq!(StopRule::try_from(77), Err(UnknownCode { what: "stop rule", code: 77 }));
+        assert_eq!(
+            StopRule::try_from(77),
+            Err(ContractError::Code { what: "stop rule", code: 77 })
+        );
     }
 }
 

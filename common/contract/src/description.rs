@@ -11,9 +11,8 @@ use crate::{
     FrameStamp, HandOver, HandOverState, Health, ImuHeader, ImuSample, JournalEntry, JournalHeader,
     JournalKind, MeasuredBy, OdometrySample, PacketHeader, PeerHeader, PeerSighting, PixelFormat,
     PlanHeader, PlannedView, Pose, Projection, Range, Rotation, RotationSource, Search, SearchMode,
-    StageLatency, StageState, StopReason, StopRule, SwarmHeader, SwarmPose, SwarmWay, Text, Topic,
-    TopicVisitor, Track, TrackHeader, TrackState, Transfer, TruthHeader, VideoCodec, ViewHeader,
-    ViewKind, visit_topics,
+    StageLatency, StageState, StopReason, StopRule, SwarmHeader, SwarmPose, SwarmWay, Text, Track,
+    TrackHeader, TrackState, Transfer, TruthHeader, VideoCodec, ViewHeader, ViewKind,
 };
 
 pub use c::c_header;
@@ -112,63 +111,16 @@ types! {
     SwarmPose Health TruthHeader BodyTruth HandOver Complaint
 }
 
-/// An enumeration of the contract.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub(crate) struct Codes {
-    pub name: &'static str,
-    /// The values' names in Rust, by their codes from 0.
-    pub values: Vec<&'static str>,
-}
-
-/// The enumerations.
-pub(crate) fn codes() -> Vec<Codes> {
+/// The enumerations: each one's name, and its values' names in Rust, by their codes from 0.
+pub(crate) fn codes() -> Vec<(&'static str, &'static [&'static str])> {
     macro_rules! codes {
         ($($name:ident)+) => {
-            vec![$(Codes { name: stringify!($name), values: $name::NAMES.to_vec() }),+]
+            vec![$((stringify!($name), $name::NAMES)),+]
         };
     }
     codes! {
         PixelFormat VideoCodec Transfer Range Projection RotationSource ViewKind Search StopRule StopReason
         SearchMode TrackState MeasuredBy SwarmWay StageState HandOverState JournalKind ComplaintKind
-    }
-}
-
-/// A topic, with its types.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct TopicDescription {
-    /// Name of its service.
-    pub service: &'static str,
-    /// Name of the header's type.
-    pub header: &'static str,
-    /// What the payload is a slice of.
-    pub item: Kind,
-    /// Whether there is a service for each detection worker.
-    pub has_lanes: bool,
-}
-
-/// The topics, in the order of the dataflow.
-pub fn topics() -> Vec<TopicDescription> {
-    /// The types' names as iceoryx2 has them, less what all have in common.
-    struct Topics(Vec<TopicDescription>);
-    impl TopicVisitor for Topics {
-        type Error = std::convert::Infallible;
-
-        fn visit<T: Topic + 'static>(&mut self) -> Result<(), Self::Error> {
-            let short = |name: &'static str| name.rsplit(['/', ':']).next().unwrap_or(name);
-            let header = short(std::any::type_name::<T::Header>());
-            let item = match short(std::any::type_name::<T::Item>()) {
-                "u8" => Kind::Number("u8"),
-                name => Kind::Type(name),
-            };
-            let has_lanes = T::INFO.has_lanes();
-            self.0.push(TopicDescription { service: T::NAME, header, item, has_lanes });
-            Ok(())
-        }
-    }
-    let mut topics = Topics(Vec::new());
-    match visit_topics(&mut topics) {
-        Ok(()) => topics.0,
-        Err(never) => match never {},
     }
 }
 
@@ -187,14 +139,7 @@ pub fn layout() -> String {
 
 /// `PlannedView` as `planned_view`.
 fn snake_case(name: &str) -> String {
-    let mut snake = String::new();
-    for letter in name.chars() {
-        if letter.is_ascii_uppercase() && !snake.is_empty() {
-            snake.push('_');
-        }
-        snake.push(letter.to_ascii_lowercase());
-    }
-    snake
+    crate::codes::text(&crate::codes::snake_case(name)).to_owned()
 }
 
 /// The last part of a service's name, in capitals.
@@ -205,6 +150,7 @@ fn constant(service: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::TOPICS;
 
     /// A gap between two fields would be a byte that no other language knows of.
     #[test]
@@ -235,15 +181,14 @@ mod tests {
     #[test]
     fn topics_name_their_types() {
         let types = types();
-        for topic in topics() {
-            assert!(types.iter().any(|known| known.name == topic.header), "{topic:?}");
-            if let Kind::Type(name) = topic.item {
-                assert!(types.iter().any(|known| known.name == name), "{name}");
-            }
+        let is_type = |name: &str| types.iter().any(|known| known.name == name);
+        for topic in TOPICS {
+            assert!(is_type(topic.header), "{topic:?}");
+            assert!(topic.item == "u8" || is_type(topic.item), "{topic:?}");
         }
-        let views: Vec<_> = topics().into_iter().filter(|topic| topic.has_lanes).collect();
+        let views: Vec<_> = TOPICS.iter().filter(|topic| topic.has_lanes()).collect();
         assert_eq!(views.len(), 1);
-        assert_eq!((views[0].service, views[0].header), ("flockeye/view", "ViewHeader"));
+        assert_eq!((views[0].name, views[0].header), ("flockeye/view", "ViewHeader"));
     }
 
     /// The clients are in the repository, so that they can be installed without building anything.

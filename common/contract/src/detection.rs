@@ -4,6 +4,7 @@ use bytemuck::{Pod, Zeroable};
 use flockeye_contract_derive::Described;
 use iceoryx2::prelude::ZeroCopySend;
 
+use crate::error::check_count;
 use crate::{ContractError, FrameStamp, ViewHeader};
 
 /// Header of a detection record. Payload: its [`DetectedMarker`]s; there may be none.
@@ -88,21 +89,9 @@ impl DetectionHeader {
 
     /// Refuses records with rays that are no unit vectors or with invalid standard deviations.
     pub fn check(&self, markers: &[DetectedMarker]) -> Result<(), ContractError> {
-        if markers.len() > MAX_DETECTED_MARKERS {
-            return Err(ContractError::TooMany {
-                what: "markers in a view",
-                found: markers.len(),
-                max: MAX_DETECTED_MARKERS,
-            });
-        }
+        check_count("markers in a view", markers.len(), MAX_DETECTED_MARKERS)?;
         let decoded = markers.iter().filter(|marker| marker.is_decoded()).count();
-        if self.hits as usize > decoded {
-            return Err(ContractError::TooMany {
-                what: "hits among the markers",
-                found: self.hits as usize,
-                max: decoded,
-            });
-        }
+        check_count("hits among the markers", self.hits as usize, decoded)?;
         for marker in markers {
             for ray in &marker.rays_in_camera {
                 let norm = ray.iter().map(|x| x * x).sum::<f64>().sqrt();

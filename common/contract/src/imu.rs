@@ -5,6 +5,7 @@ use flockeye_contract_derive::Described;
 use iceoryx2::prelude::ZeroCopySend;
 
 use crate::ContractError;
+use crate::error::check_count;
 
 /// Most samples in one message.
 pub const MAX_IMU_SAMPLES: usize = 256;
@@ -43,10 +44,7 @@ pub const MAX_IMU_RATE: f64 = 100.0;
 impl ImuHeader {
     /// Refuses too many samples, rates that are none, and times that do not rise.
     pub fn check(&self, samples: &[ImuSample]) -> Result<(), ContractError> {
-        if samples.len() > MAX_IMU_SAMPLES {
-            let (found, max) = (samples.len(), MAX_IMU_SAMPLES);
-            return Err(ContractError::TooMany { what: "samples", found, max });
-        }
+        check_count("samples", samples.len(), MAX_IMU_SAMPLES)?;
         let is_rate = |rate: &f64| rate.abs() < MAX_IMU_RATE;
         if !samples.iter().all(|sample| sample.rate.iter().all(is_rate)) {
             return Err(ContractError::NotFinite { what: "angular velocity" });

@@ -4,6 +4,7 @@ use bytemuck::{Pod, Zeroable};
 use flockeye_contract_derive::Described;
 use iceoryx2::prelude::ZeroCopySend;
 
+use crate::error::check_count;
 use crate::{ContractError, FrameOrder, JournalKind};
 
 /// Journals with more entries than this in one message are refused.
@@ -84,14 +85,11 @@ impl JournalHeader {
     /// # Errors
     /// The first violation found.
     pub fn check(&self, entries: &[JournalEntry]) -> Result<(), ContractError> {
-        if entries.len() > MAX_JOURNAL_ENTRIES {
-            let (found, max) = (entries.len(), MAX_JOURNAL_ENTRIES);
-            return Err(ContractError::TooMany { what: "entries of a journal", found, max });
-        }
+        check_count("entries of a journal", entries.len(), MAX_JOURNAL_ENTRIES)?;
         if self.is_resumed > 1 {
             return Err(ContractError::NotFinite { what: "is_resumed" });
         }
-        entries.iter().try_for_each(|entry| Ok(JournalKind::try_from(entry.kind).map(|_| ())?))
+        entries.iter().try_for_each(|entry| JournalKind::try_from(entry.kind).map(|_| ()))
     }
 }
 

@@ -61,7 +61,7 @@ pub mod wire;
 pub use codes::{
     ComplaintKind, HandOverState, JournalKind, MeasuredBy, PixelFormat, Projection, Range,
     RotationSource, Search, SearchMode, StageState, StopReason, StopRule, SwarmWay, TrackState,
-    Transfer, UnknownCode, VideoCodec, ViewKind,
+    Transfer, VideoCodec, ViewKind,
 };
 pub use complaint::Complaint;
 pub use detection::{DetectedMarker, DetectionHeader, MAX_DETECTED_MARKERS};

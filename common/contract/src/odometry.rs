@@ -4,6 +4,7 @@ use bytemuck::{Pod, Zeroable};
 use flockeye_contract_derive::Described;
 use iceoryx2::prelude::ZeroCopySend;
 
+use crate::error::check_finite;
 use crate::{ContractError, Pose};
 
 /// Header of `odometry`. No payload. The observer's pose and velocity at one instant.
@@ -39,11 +40,7 @@ impl OdometrySample {
     /// Refuses poses and velocities that are none.
     pub fn check(&self) -> Result<(), ContractError> {
         self.odom_from_observer.check()?;
-        let mut velocities = self.linear_velocity.iter().chain(&self.angular_velocity);
-        if velocities.all(|x| x.is_finite()) {
-            Ok(())
-        } else {
-            Err(ContractError::NotFinite { what: "velocity" })
-        }
+        check_finite("velocity", &self.linear_velocity)?;
+        check_finite("velocity", &self.angular_velocity)
     }
 }

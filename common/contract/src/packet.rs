@@ -4,6 +4,7 @@ use bytemuck::{Pod, Zeroable};
 use flockeye_contract_derive::Described;
 use iceoryx2::prelude::ZeroCopySend;
 
+use crate::error::check_count;
 use crate::{ContractError, VideoCodec};
 
 /// Most bytes of a packet.
@@ -43,10 +44,7 @@ impl PacketHeader {
     /// The first violation found.
     pub fn check(&self, payload: &[u8]) -> Result<(), ContractError> {
         let codec = VideoCodec::try_from(self.codec)?;
-        if payload.len() > MAX_PACKET_BYTES {
-            let (found, max) = (payload.len(), MAX_PACKET_BYTES);
-            return Err(ContractError::TooMany { what: "bytes of a packet", found, max });
-        }
+        check_count("bytes of a packet", payload.len(), MAX_PACKET_BYTES)?;
         if self.is_key > 1 {
             return Err(ContractError::NotFinite { what: "is_key" });
         }

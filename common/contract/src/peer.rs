@@ -4,6 +4,7 @@ use bytemuck::{Pod, Zeroable};
 use flockeye_contract_derive::Described;
 use iceoryx2::prelude::ZeroCopySend;
 
+use crate::error::check_finite;
 use crate::{ContractError, MeasuredBy, Pose, SwarmWay, Text, TrackState};
 
 /// Header of `peer`. Payload: the [`PeerSighting`]s of one report.
@@ -132,13 +133,5 @@ impl SwarmPose {
         SwarmWay::try_from(self.way)?;
         self.own_from_drone.check()?;
         check_finite("covariance", &self.covariance)
-    }
-}
-
-fn check_finite(what: &'static str, numbers: &[f64]) -> Result<(), ContractError> {
-    if numbers.iter().all(|x| x.is_finite()) {
-        Ok(())
-    } else {
-        Err(ContractError::NotFinite { what })
     }
 }

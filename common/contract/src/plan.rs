@@ -4,6 +4,7 @@ use bytemuck::{Pod, Zeroable};
 use flockeye_contract_derive::Described;
 use iceoryx2::prelude::ZeroCopySend;
 
+use crate::error::{check_count, check_unit};
 use crate::frame::MAX_SIDE_PX;
 use crate::{ContractError, FrameStamp, NONE, Pose, Search, SearchMode, StopRule, ViewKind};
 
@@ -77,13 +78,7 @@ impl PlanHeader {
     pub fn check(&self, views: &[PlannedView]) -> Result<(), ContractError> {
         StopRule::try_from(self.stop_rule)?;
         SearchMode::try_from(self.mode)?;
-        if views.len() > MAX_PLANNED_VIEWS {
-            return Err(ContractError::TooMany {
-                what: "views in a plan",
-                found: views.len(),
-                max: MAX_PLANNED_VIEWS,
-            });
-        }
+        check_count("views in a plan", views.len(), MAX_PLANNED_VIEWS)?;
         views.iter().try_for_each(PlannedView::check)
     }
 }
@@ -122,12 +117,7 @@ pub(crate) fn check_view_geometry(
     focal_px: f64,
     size_px: u32,
 ) -> Result<(), ContractError> {
-    let norm = camera_from_view.iter().map(|q| q * q).sum::<f64>().sqrt();
-    // NaN compares false, so it is refused here too.
-    let is_unit = (norm - 1.0).abs() < 1e-3;
-    if !is_unit {
-        return Err(ContractError::Rotation { norm });
-    }
+    check_unit(camera_from_view)?;
     if size_px == 0 || size_px > MAX_VIEW_PX {
         return Err(ContractError::Size { width: size_px, height: size_px, max: MAX_VIEW_PX });
     }

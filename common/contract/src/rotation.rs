@@ -4,6 +4,7 @@ use bytemuck::{Pod, Zeroable};
 use flockeye_contract_derive::Described;
 use iceoryx2::prelude::ZeroCopySend;
 
+use crate::error::{check_finite, check_unit};
 use crate::{ContractError, FrameStamp, RotationSource};
 
 /// Header of `rotation`: how the camera has turned from an earlier frame to this one. No payload.
@@ -80,20 +81,6 @@ impl Rotation {
     /// Whether the rotation is known beyond the exposure.
     pub fn is_known_ahead(&self) -> bool {
         self.ahead_ns > self.stamp.exposure_ns
-    }
-}
-
-fn check_unit(quaternion: &[f64; 4]) -> Result<(), ContractError> {
-    let norm = quaternion.iter().map(|q| q * q).sum::<f64>().sqrt();
-    // NaN compares false, so it is refused here too.
-    let is_unit = (norm - 1.0).abs() < 1e-3;
-    if is_unit { Ok(()) } else { Err(ContractError::Rotation { norm }) }
-}
-
-fn check_finite(what: &'static str, numbers: &[f64]) -> Result<(), ContractError> {
-    match numbers.iter().all(|number| number.is_finite()) {
-        true => Ok(()),
-        false => Err(ContractError::NotFinite { what }),
     }
 }
 

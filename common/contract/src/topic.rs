@@ -47,6 +47,10 @@ pub struct TopicInfo {
     pub publishers: &'static [StageName],
     /// The stages that read it. Tools may read any topic.
     pub subscribers: &'static [StageName],
+    /// Name of the header's type.
+    pub header: &'static str,
+    /// Name of the items' type.
+    pub item: &'static str,
     /// Bytes of the header.
     pub header_bytes: usize,
     /// Bytes of an item.
@@ -89,6 +93,8 @@ macro_rules! topics {
                     name: $service,
                     publishers: &[$(StageName::$publisher),*],
                     subscribers: &[$(StageName::$subscriber),*],
+                    header: stringify!($header),
+                    item: stringify!($item),
                     header_bytes: size_of::<$header>(),
                     item_bytes: size_of::<$item>(),
                 };

@@ -4,6 +4,7 @@ use bytemuck::{Pod, Zeroable};
 use flockeye_contract_derive::Described;
 use iceoryx2::prelude::ZeroCopySend;
 
+use crate::error::{check_finite, check_unit};
 use crate::{ContractError, FrameStamp, MeasuredBy, StopReason, Text, TrackState};
 
 /// Header of `frame_end`: rectification is done with a frame. No payload.
@@ -57,16 +58,8 @@ impl Default for Pose {
 impl Pose {
     /// Refuses positions that are not finite and orientations that are no rotations.
     pub fn check(&self) -> Result<(), ContractError> {
-        if !self.position.iter().all(|x| x.is_finite()) {
-            return Err(ContractError::NotFinite { what: "position" });
-        }
-        let norm = self.orientation.iter().map(|q| q * q).sum::<f64>().sqrt();
-        // NaN compares false, so it is refused here too.
-        let is_unit = (norm - 1.0).abs() < 1e-3;
-        if !is_unit {
-            return Err(ContractError::Rotation { norm });
-        }
-        Ok(())
+        check_finite("position", &self.position)?;
+        check_unit(&self.orientation)
     }
 }
 
@@ -169,22 +162,14 @@ impl Track {
     pub fn check(&self) -> Result<(), ContractError> {
         TrackState::try_from(self.state)?;
         self.observer_from_target.check()?;
-        if !self.covariance.iter().all(|x| x.is_finite()) {
-            return Err(ContractError::NotFinite { what: "covariance" });
-        }
-        let velocities = self.linear_velocity.iter().chain(&self.angular_velocity);
-        if !velocities.into_iter().all(|x| x.is_finite()) {
-            return Err(ContractError::NotFinite { what: "velocity" });
-        }
+        check_finite("covariance", &self.covariance)?;
+        check_finite("velocity", &self.linear_velocity)?;
+        check_finite("velocity", &self.angular_velocity)?;
         self.predicted_observer_from_target.check()?;
-        if !self.predicted_covariance.iter().all(|x| x.is_finite()) {
-            return Err(ContractError::NotFinite { what: "predicted covariance" });
-        }
+        check_finite("predicted covariance", &self.predicted_covariance)?;
         if MeasuredBy::try_from(self.measured_by)? != MeasuredBy::Nothing {
             self.measured_observer_from_target.check()?;
-            if !self.measured_covariance.iter().all(|x| x.is_finite()) {
-                return Err(ContractError::NotFinite { what: "measured covariance" });
-            }
+            check_finite("measured covariance", &self.measured_covariance)?;
         }
         Ok(())
     }

@@ -4,8 +4,9 @@ use bytemuck::{Pod, Zeroable};
 use flockeye_contract_derive::Described;
 use iceoryx2::prelude::ZeroCopySend;
 
+use crate::error::check_count;
 use crate::frame::{check_curve, check_image};
-use crate::plan::{MAX_VIEW_PX, check_view_geometry};
+use crate::plan::{MAX_PLANNED_VIEWS, check_view_geometry};
 use crate::{ContractError, FrameStamp, Pose, Search, ViewKind};
 
 /// Header of a view. Payload: `stride * size_px` bytes of luma.
@@ -70,13 +71,7 @@ impl ViewHeader {
         check_curve(self.transfer, self.gamma, self.range)?;
         ViewKind::try_from(self.kind)?;
         Search::try_from(self.search)?;
-        if self.view_index as usize >= crate::plan::MAX_PLANNED_VIEWS {
-            return Err(ContractError::TooMany {
-                what: "views in a frame",
-                found: self.view_index as usize + 1,
-                max: crate::plan::MAX_PLANNED_VIEWS,
-            });
-        }
+        check_count("views in a frame", self.view_index as usize + 1, MAX_PLANNED_VIEWS)?;
         if self.has_prediction != 0 {
             self.predicted_camera_from_markers.check()?;
         }
@@ -85,10 +80,5 @@ impl ViewHeader {
             return Err(ContractError::PayloadTooShort { needed, found: payload_bytes });
         }
         Ok(())
-    }
-
-    /// Bytes of the largest view that the contract allows, for a given stride of rows.
-    pub const fn max_payload_bytes() -> usize {
-        MAX_VIEW_PX as usize * MAX_VIEW_PX as usize
     }
 }

@@ -1,7 +1,7 @@
 //! Codes of the contract and the types of geometry and imaging that they stand for.
 
 use flockeye_contract as contract;
-use flockeye_contract::{Projection, Range, Transfer, ViewHeader};
+use flockeye_contract::{FrameHeader, PixelFormat, Projection, Range, Transfer, ViewHeader};
 use flockeye_geometry::camera::{Camera, CameraModel};
 use flockeye_geometry::search;
 use flockeye_imaging::light::{CodeRange, TransferCurve};
@@ -12,6 +12,27 @@ pub fn projection_of(camera: &Camera) -> Projection {
         CameraModel::Equirectangular { .. } => Projection::Equirectangular,
         CameraModel::DualFisheye(_) => Projection::DualFisheye,
         CameraModel::Stereographic { .. } => Projection::Stereographic,
+    }
+}
+
+/// What the headers of all frames of a camera have in common: 8-bit luma of full range, with no gap
+/// between rows.
+pub fn frame_header(
+    camera: &Camera,
+    (transfer, gamma): (Transfer, f32),
+    readout_ms: f64,
+) -> FrameHeader {
+    FrameHeader {
+        readout_ns: (readout_ms * 1e6) as u64,
+        width: camera.width(),
+        height: camera.height(),
+        stride: camera.width(),
+        pixel_format: PixelFormat::Gray8.code(),
+        transfer: transfer.code(),
+        gamma,
+        range: Range::Full.code(),
+        projection: projection_of(camera).code(),
+        ..FrameHeader::default()
     }
 }
 

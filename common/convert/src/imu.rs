@@ -4,8 +4,8 @@ use flockeye_contract::ImuSample;
 use flockeye_geometry::inertial::RateSample;
 use nalgebra::{UnitQuaternion, Vector3};
 
-/// A sample in the camera's axes and on the camera's clock, by the configured mounting and time offset
-/// (`inertial.camera_from_sensor`, `inertial.time_offset_ms`).
+/// A sample in the camera's axes and on the camera's clock, by the configured mounting and time
+/// offset (`inertial.camera_from_sensor`, `inertial.time_offset_ms`).
 pub fn rate_sample(
     sample: &ImuSample,
     camera_from_sensor: &UnitQuaternion<f64>,

@@ -12,7 +12,8 @@ mod turn;
 mod view;
 
 pub use codes::{
-    code_range, projection_of, purpose_of, search_code, search_of, stop_rule, transfer_curve,
+    code_range, frame_header, projection_of, purpose_of, search_code, search_of, stop_rule,
+    transfer_curve,
 };
 pub use imu::rate_sample;
 pub use pose::{isometry, matrix6, pose, rotation, row_major, symmetric6, upper_triangle, xyzw};

@@ -9,15 +9,13 @@ use nalgebra::{UnitQuaternion, Vector3};
 use crate::pose::rotation;
 
 /// Why a view's pixels cannot be used.
+#[allow(missing_docs, reason = "the messages say what each is")]
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum ViewError {
-    /// Its pixels are not as many as its header says.
     #[error(transparent)]
     Image(#[from] ImageError),
-    /// Its curve cannot be undone.
     #[error(transparent)]
     Light(#[from] LightError),
-    /// Its curve is a table that was not configured.
     #[error(
         "its curve is a table, but the configuration has none. Cure: set camera.response to table, \
          and camera.response_table"
@@ -52,9 +50,6 @@ pub fn at_exposure(planned: &PlannedView, exposure_ns: i64) -> View {
 }
 
 /// The pixels that a header states, in a message's items.
-///
-/// # Errors
-/// Too few of them.
 pub fn image_of<'p>(header: &ViewHeader, pixels: &'p [u8]) -> Result<LumaImage<'p>, ViewError> {
     let size = header.size_px as usize;
     Ok(LumaImage::new(pixels, size, size, header.stride as usize)?)

@@ -4,6 +4,7 @@ use crate::names::PREDEFINED;
 
 /// Why a dictionary could not be had, or does not fit the bodies.
 #[derive(Debug, thiserror::Error)]
+#[expect(missing_docs, reason = "the messages say what the fields are")]
 pub enum DictionaryError {
     /// Neither a known name nor a file.
     #[error(
@@ -11,31 +12,16 @@ pub enum DictionaryError {
          form is another way (is there such a file?)",
         PREDEFINED.join(", ")
     )]
-    Unknown {
-        /// What was asked for.
-        name: String,
-    },
+    Unknown { name: String },
     /// A file that is no dictionary.
     #[error("'{path}' is no dictionary file: {what}")]
-    File {
-        /// The file.
-        path: String,
-        /// What is wrong in it.
-        what: String,
-    },
+    File { path: String, what: String },
     /// Bodies with markers that the dictionary does not have: every such body is named.
     #[error(
         "{}; {name} has ids 0 to {last}. Cure: choose other ids, or a larger dictionary",
         .outside.join("; ")
     )]
-    Outside {
-        /// The dictionary.
-        name: String,
-        /// Its last id.
-        last: usize,
-        /// For each body that is wrong: which of its ids.
-        outside: Vec<String>,
-    },
+    Outside { name: String, last: usize, outside: Vec<String> },
     /// OpenCV refused.
     #[error("OpenCV: {0}")]
     OpenCv(#[from] opencv::Error),

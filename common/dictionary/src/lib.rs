@@ -157,8 +157,8 @@ mod tests {
         assert!(dictionary.print(250).is_none());
     }
 
-    /// Among the published properties: 250 markers of 6 x 6 cells, of which any two differ in at least 12 cells, however
-    /// they are turned.
+    /// Among the published properties: 250 markers of 6 x 6 cells, of which any two differ in at
+    /// least 12 cells, however they are turned.
     #[test]
     fn the_dictionary_that_debian_lacks_is_the_published_one() {
         let dictionary = Dictionary::load("dict_aruco_mip_36H12").unwrap();

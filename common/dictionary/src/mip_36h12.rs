@@ -1,7 +1,8 @@
 //! `DICT_ARUCO_MIP_36h12`, which OpenCV has from 4.7 on and Debian's 4.6 has not.
 //!
-//! The markers are those of Garrido-Jurado, Muñoz-Salinas, Madrid-Cuevas and Medina-Carnicer, "Generation of fiducial
-//! marker dictionaries using Mixed Integer Linear Programming", Pattern Recognition 51, 2016.
+//! The markers are those of Garrido-Jurado, Muñoz-Salinas, Madrid-Cuevas and Medina-Carnicer,
+//! "Generation of fiducial marker dictionaries using Mixed Integer Linear Programming", Pattern
+//! Recognition 51, 2016.
 
 /// Cells along a side, without the border.
 pub(crate) const SIZE: i32 = 6;

@@ -1,8 +1,8 @@
 //! Marker bodies: which marker sits where on a neighbour, and on what.
 //!
 //! A [`Body`] is its [`Marker`]s and its [`Facet`]s: the flat sides of the solid that they are
-//! glued to. [`squares`] and its like make the solids that come with Flockeye, [`Bodies::from_json`]
-//! reads others.
+//! glued to. [`squares`] and its like make the solids that come with Flockeye,
+//! [`Bodies::from_json`] reads others.
 
 use std::collections::{BTreeMap, BTreeSet};
 

@@ -86,8 +86,8 @@ impl Camera {
         Self { width, height, model, nearness: 0.0 }
     }
 
-    /// Returns this camera, right for things `metres` away from its middle (infinity is allowed; less
-    /// than twice the lenses' offset counts as that).
+    /// Returns this camera, right for things `metres` away from its middle (infinity is allowed;
+    /// less than twice the lenses' offset counts as that).
     pub fn at_distance(self, metres: f64) -> Self {
         let farthest = self.largest_offset_m();
         let least = NEAREST_IN_OFFSETS * farthest;
@@ -134,7 +134,12 @@ impl Camera {
             }
             _ => false,
         };
-        is_plain.then_some(Equirectangular { width: self.width, height: self.height })
+        is_plain.then_some(self.sphere())
+    }
+
+    /// The equirectangular image of these sides.
+    pub(crate) fn sphere(&self) -> Equirectangular {
+        Equirectangular { width: self.width, height: self.height }
     }
 
     /// The stereographic plane of this image with this field.
@@ -147,8 +152,7 @@ impl Camera {
     pub fn ray(&self, pixel: SpherePixel) -> Option<Ray> {
         match &self.model {
             &CameraModel::Equirectangular { lens_distance_m } => {
-                let sphere = Equirectangular { width: self.width, height: self.height };
-                let seen = sphere.ray(pixel);
+                let seen = self.sphere().ray(pixel);
                 let side = if seen.x >= 0.0 { 0.5 } else { -0.5 };
                 let lens = Vector3::x() * (side * lens_distance_m * self.nearness);
                 Some(from_middle(&seen, &lens))
@@ -170,7 +174,7 @@ impl Camera {
     pub fn project(&self, ray_in_camera: &Ray) -> Option<SpherePixel> {
         match &self.model {
             &CameraModel::Equirectangular { lens_distance_m } => {
-                let sphere = Equirectangular { width: self.width, height: self.height };
+                let sphere = self.sphere();
                 let offset = 0.5 * lens_distance_m * self.nearness;
                 if offset == 0.0 {
                     return Some(sphere.project(ray_in_camera));
@@ -204,13 +208,11 @@ impl Camera {
     /// fisheye lens (the finer of two), in the middle of a stereographic plane.
     pub fn pixels_per_radian(&self) -> f64 {
         match &self.model {
-            CameraModel::Equirectangular { .. } => {
-                Equirectangular { width: self.width, height: self.height }.pixels_per_radian()
-            }
+            CameraModel::Equirectangular { .. } => self.sphere().pixels_per_radian(),
             CameraModel::DualFisheye([one, other]) => {
                 one.pixels_per_radian().max(other.pixels_per_radian())
             }
-            &CameraModel::Stereographic { field_rad } => self.plane(field_rad).radius_px(),
+            &CameraModel::Stereographic { field_rad } => self.plane(field_rad).radius_px,
         }
     }
 

@@ -5,8 +5,9 @@ use std::collections::VecDeque;
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 
-/// How fast angular acceleration changes: white-noise jerk about each axis, rad/s^3 per root Hz. A drone in
-/// gusts that rolls by 15 degrees at 0.7 Hz has up to 22 rad/s^3, which over a frame of 33 ms is as much.
+/// How fast angular acceleration changes: white-noise jerk about each axis, rad/s^3 per root Hz. A
+/// drone in gusts that rolls by 15 degrees at 0.7 Hz has up to 22 rad/s^3, which over a frame of 33
+/// ms is as much.
 pub const JERK: f64 = 3.5;
 
 /// An acceleration is not expected to last longer than this, seconds.
@@ -34,8 +35,8 @@ pub struct CameraTurn {
     pub ahead: Option<TurnAhead>,
 }
 
-/// How the camera turned on after its newest picture, by an inertial sensor. The next picture's turn stands for
-/// the same time and replaces it.
+/// How the camera turned on after its newest picture, by an inertial sensor. The next picture's
+/// turn stands for the same time and replaces it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TurnAhead {
     /// Until when this is known, seconds.
@@ -88,7 +89,6 @@ impl Turned {
         Self { later_from_earlier: UnitQuaternion::identity(), covariance: Matrix3::zeros() }
     }
 
-    /// This turn, then another.
     fn then(&self, later: &Self) -> Self {
         let turn = later.later_from_earlier.to_rotation_matrix();
         Self {
@@ -107,8 +107,8 @@ impl Turned {
     }
 }
 
-/// The camera's own rotation over the last seconds. While nothing is known of it, the camera is taken not
-/// to turn, with certainty: then a track is what it is in the camera's axes.
+/// The camera's own rotation over the last seconds. While nothing is known of it, the camera is
+/// taken not to turn, with certainty: then a track is what it is in the camera's axes.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct EgoRotation {
     keep_s: f64,
@@ -135,8 +135,8 @@ impl EgoRotation {
         Self { keep_s, knots: VecDeque::new(), is_ahead: false }
     }
 
-    /// Goes on with what another process knew. Returns false, and knows what it did before, if a number of it
-    /// is not finite.
+    /// Goes on with what another process knew. Returns false, and knows what it did before, if a
+    /// number of it is not finite.
     pub fn resume(&mut self, saved: Self) -> bool {
         let is_usable = saved.knots.iter().all(Knot::is_finite);
         if is_usable {
@@ -145,8 +145,8 @@ impl EgoRotation {
         is_usable
     }
 
-    /// Takes in the next turn. One that ends with the last one is left out. One that ends before it says that
-    /// the clock has jumped, because turns come in order: then all begins anew.
+    /// Takes in the next turn. One that ends with the last one is left out. One that ends before it
+    /// says that the clock has jumped, because turns come in order: then all begins anew.
     pub fn add(&mut self, turn: &CameraTurn) {
         let measured = self.knots.len().checked_sub(1 + usize::from(self.is_ahead));
         if measured
@@ -197,8 +197,8 @@ impl EgoRotation {
         }
     }
 
-    /// Until when the rotation is known, by pictures or by an inertial sensor beyond them, seconds; `None`
-    /// while it never was.
+    /// Until when the rotation is known, by pictures or by an inertial sensor beyond them, seconds;
+    /// `None` while it never was.
     pub fn known_until_s(&self) -> Option<f64> {
         self.knots.back().map(|last| last.at_s)
     }
@@ -223,7 +223,8 @@ impl EgoRotation {
         if later_s > last.at_s {
             let ahead = last.ahead(later_s - last.at_s);
             let ahead = match earlier_s > last.at_s {
-                // Only what it turns by after `earlier_s`; how certain that is, is that of the whole way.
+                // Only what it turns by after `earlier_s`; how certain that is, is that of the
+                // whole way.
                 true => Turned {
                     later_from_earlier: ahead.later_from_earlier
                         * last.ahead(earlier_s - last.at_s).later_from_earlier.inverse(),

@@ -1,29 +1,36 @@
 //! The filter of one neighbour: where it is now, and where it will be.
 //!
-//! An error-state Kalman filter on position x rotation with constant velocity, driven by white-noise
-//! acceleration (Bar-Shalom, Li, Kirubarajan, "Estimation with Applications to Tracking and
-//! Navigation", section 6.2.2; Sola, "Quaternion kinematics for the error-state Kalman filter").
+//! An error-state Kalman filter on position x rotation with constant velocity, driven by
+//! white-noise acceleration (Bar-Shalom, Li, Kirubarajan, "Estimation with Applications to Tracking
+//! and Navigation", section 6.2.2; Sola, "Quaternion kinematics for the error-state Kalman
+//! filter").
 //!
-//! The state is the pose of the markers in the camera frame with its linear and angular velocity; the
-//! error is (position, rotation vector, linear velocity, angular velocity), all in the camera's
-//! axes: `R_true = exp(rotation error) R`. So the leading 6x6 block is the project's pose covariance.
+//! The state is the pose of the markers in the camera frame with its linear and angular velocity;
+//! the error is (position, rotation vector, linear velocity, angular velocity), all in the camera's
+//! axes: `R_true = exp(rotation error) R`. So the leading 6x6 block is the project's pose
+//! covariance.
 //!
-//! The camera turns, and a turn is no acceleration of all neighbours at once. So velocities are those in
-//! axes that do not turn. They are written along the camera's axes of the moment. A step turns the whole
-//! state by the camera's own rotation ([`EgoRotation`]), and takes on that rotation's uncertainty. Where the
-//! rotation is not known, the camera is taken not to turn, and velocities are those that the camera sees.
+//! The camera turns, and a turn is no acceleration of all neighbours at once. So velocities are
+//! those in axes that do not turn. They are written along the camera's axes of the moment. A step
+//! turns the whole state by the camera's own rotation ([`EgoRotation`]), and takes on that
+//! rotation's uncertainty. Where the rotation is not known, the camera is taken not to turn, and
+//! velocities are those that the camera sees.
 
 mod chi_square;
 mod life;
 mod saved;
 
 pub use chi_square::{chi_square_gate, chi_square_quantile};
-pub use life::{Happened, LifeCycle, TrackPolicy, TrackState};
+pub use life::{
+    CONFIRM_WINDOW, GATE_PROBABILITY, HISTORY_S, Happened, LifeCycle, RESTART_AFTER_GATED,
+    TrackPolicy, TrackState,
+};
 pub use saved::SavedLife;
 
 use crate::ego_rotation::{EgoRotation, Turned};
+use crate::pose::{PoseEstimate, pose_difference};
 use nalgebra::{
-    Isometry3, Matrix3, Matrix6, SMatrix, SVector, Translation3, UnitQuaternion, Vector3, Vector6,
+    Isometry3, Matrix3, Matrix6, SMatrix, SVector, Translation3, UnitQuaternion, Vector3,
 };
 use serde::{Deserialize, Serialize};
 
@@ -47,11 +54,11 @@ pub struct MotionModel {
 }
 
 impl Default for MotionModel {
-    /// For small drones that fly together: 0.7 m/s^2 and 3 rad/s^2 per root Hz, 2 m/s and 1.5 rad/s at
-    /// first. A tenth of a second ahead that is 13 mm and 3 degrees along each axis, as much as 2.5 m/s^2
-    /// and 11 rad/s^2, held, do; a whole second ahead 0.4 m. With more, less of the noise of measurements
-    /// is smoothed away, and a neighbour that is out of sight for some frames needs so wide a view that
-    /// nothing decodes in it.
+    /// For small drones that fly together: 0.7 m/s^2 and 3 rad/s^2 per root Hz, 2 m/s and 1.5 rad/s
+    /// at first. A tenth of a second ahead that is 13 mm and 3 degrees along each axis, as much as
+    /// 2.5 m/s^2 and 11 rad/s^2, held, do; a whole second ahead 0.4 m. With more, less of the noise
+    /// of measurements is smoothed away, and a neighbour that is out of sight for some frames needs
+    /// so wide a view that nothing decodes in it.
     fn default() -> Self {
         Self {
             acceleration: 0.7,
@@ -63,22 +70,9 @@ impl Default for MotionModel {
     }
 }
 
-/// The state of a neighbour at one time.
+/// Where a neighbour is, or will be, and how it moves.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Track {
-    stamp_s: f64,
-    camera_from_markers: Isometry3<f64>,
-    velocity: Vector3<f64>,
-    rate: Vector3<f64>,
-    covariance: StateCovariance,
-    /// The policy is not saved: a process that goes on with a track has its own.
-    #[serde(skip)]
-    motion: MotionModel,
-}
-
-/// Where a neighbour is, or will be.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Prediction {
+pub struct MotionEstimate {
     /// The time it holds for, seconds.
     pub stamp_s: f64,
     /// The pose of the body's markers in the camera frame.
@@ -87,13 +81,15 @@ pub struct Prediction {
     pub velocity: Vector3<f64>,
     /// Angular velocity in axes that do not turn, along those of the camera, rad/s.
     pub rate: Vector3<f64>,
-    /// The camera's own angular velocity, in its axes, rad/s.
+    /// The camera's own angular velocity, in its axes, rad/s. It follows from the camera's rotation
+    /// at each prediction, so it is not saved.
+    #[serde(skip)]
     pub camera_rate: Vector3<f64>,
     /// Covariance of all of it; see [`StateCovariance`].
     pub covariance: StateCovariance,
 }
 
-impl Prediction {
+impl MotionEstimate {
     /// The velocity that the camera sees: to a camera that turns, what stands still moves, m/s.
     pub fn apparent_velocity(&self) -> Vector3<f64> {
         self.velocity - self.camera_rate.cross(&self.camera_from_markers.translation.vector)
@@ -106,7 +102,8 @@ impl Prediction {
 
     /// Returns this state in the axes of a camera that has turned meanwhile.
     ///
-    /// If the camera has really turned by exp(d) more, a vector v is off by d x v, and the attitude by d.
+    /// If the camera has really turned by exp(d) more, a vector v is off by d x v, and the attitude
+    /// by d.
     fn turned(self, turned: &Turned) -> Self {
         let camera = &turned.later_from_earlier;
         let camera_from_markers = Isometry3::from_parts(
@@ -129,120 +126,75 @@ impl Prediction {
     }
 }
 
-/// How far a measurement lay from what was predicted.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Innovation {
-    /// Measured less predicted: position (m), then rotation vector (rad), in the camera's axes.
-    pub difference: Vector6<f64>,
-    /// Squared Mahalanobis distance: chi-square with 6 degrees of freedom if all is as assumed.
-    pub distance_squared: f64,
-    /// Logarithm of the determinant of the difference's covariance.
-    pub log_determinant: f64,
-}
-
-impl Innovation {
-    /// Logarithm of how likely this difference was, but for a constant.
-    pub fn log_likelihood(&self) -> f64 {
-        -0.5 * (self.distance_squared + self.log_determinant)
-    }
-}
-
 /// Why a filter could not be asked.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
+#[expect(missing_docs, reason = "the messages say what the fields are")]
 pub enum FilterError {
     /// A pose, a time or a covariance is not a number, or a covariance is none.
     #[error("the {what} is not usable: it must be finite, a covariance also positive definite")]
-    Unusable {
-        /// Which.
-        what: &'static str,
-    },
+    Unusable { what: &'static str },
     /// The time lies before the track's.
     #[error("{at_s:.6} s lies before the track's own time, {stamp_s:.6} s")]
-    Past {
-        /// The time asked for, seconds.
-        at_s: f64,
-        /// The track's time, seconds.
-        stamp_s: f64,
-    },
+    Past { at_s: f64, stamp_s: f64 },
     /// The time lies so far after the track's that nothing is known of it.
     #[error(
         "{at_s:.6} s lies more than {longest_s} s after the track's time, {stamp_s:.6} s: start anew"
     )]
-    Gap {
-        /// The time asked for, seconds.
-        at_s: f64,
-        /// The track's time, seconds.
-        stamp_s: f64,
-        /// The longest step allowed, seconds.
-        longest_s: f64,
-    },
+    Gap { at_s: f64, stamp_s: f64, longest_s: f64 },
     /// The measurement lies outside the gate; the track is as it was.
-    #[error("the measurement lies outside the gate: {:.1} > {gate:.1}", .innovation.distance_squared)]
+    #[error("the measurement lies outside the gate: {:.1} > {gate:.1}", .distance_squared)]
     Gated {
-        /// How far it lay off.
-        innovation: Innovation,
-        /// The largest squared distance that would have passed.
+        /// Squared Mahalanobis distance: chi-square with 6 degrees of freedom if all is as assumed.
+        distance_squared: f64,
+        /// Logarithm of how likely the measurement was, but for a constant.
+        log_likelihood: f64,
         gate: f64,
     },
 }
 
-impl Track {
-    /// A track that begins with a measured pose, of unknown velocity.
-    ///
-    /// `covariance`: position (m), then rotation vector (rad), in the camera's axes.
+impl MotionEstimate {
+    /// Begins a track with a measured pose, of unknown velocity.
     ///
     /// # Errors
     /// [`FilterError::Unusable`].
     pub fn start(
         stamp_s: f64,
-        camera_from_markers: Isometry3<f64>,
-        covariance: &Matrix6<f64>,
-        motion: MotionModel,
+        measured: &PoseEstimate,
+        motion: &MotionModel,
     ) -> Result<Self, FilterError> {
-        check(stamp_s, &camera_from_markers, covariance)?;
-        let mut state = StateCovariance::zeros();
-        state.fixed_view_mut::<6, 6>(0, 0).copy_from(covariance);
+        check(stamp_s, measured)?;
+        let mut covariance = StateCovariance::zeros();
+        covariance.fixed_view_mut::<6, 6>(0, 0).copy_from(&measured.covariance);
         for axis in 0..3 {
-            state[(6 + axis, 6 + axis)] = motion.initial_speed.powi(2);
-            state[(9 + axis, 9 + axis)] = motion.initial_rate.powi(2);
+            covariance[(6 + axis, 6 + axis)] = motion.initial_speed.powi(2);
+            covariance[(9 + axis, 9 + axis)] = motion.initial_rate.powi(2);
         }
         Ok(Self {
             stamp_s,
-            camera_from_markers,
+            camera_from_markers: measured.camera_from_markers,
             velocity: Vector3::zeros(),
             rate: Vector3::zeros(),
-            covariance: state,
-            motion,
+            camera_rate: Vector3::zeros(),
+            covariance,
         })
     }
 
-    /// The time of the last measurement taken in, seconds.
-    pub fn stamp_s(&self) -> f64 {
-        self.stamp_s
-    }
-
-    /// What is known at that time.
-    pub fn now(&self) -> Prediction {
-        Prediction {
-            stamp_s: self.stamp_s,
-            camera_from_markers: self.camera_from_markers,
-            velocity: self.velocity,
-            rate: self.rate,
-            camera_rate: Vector3::zeros(),
-            covariance: self.covariance,
-        }
-    }
-
     /// Where the neighbour will be at `at_s` (seconds, on the clock of the measurements) if it
-    /// keeps its velocity, seen by a camera that turns by `ego`. The covariance states the uncertainty.
+    /// keeps its velocity, seen by a camera that turns by `ego`. The covariance states the
+    /// uncertainty.
     ///
     /// # Errors
     /// A time before the track's, more than [`MotionModel::longest_step_s`] after it, or no number.
-    pub fn predict(&self, at_s: f64, ego: &EgoRotation) -> Result<Prediction, FilterError> {
+    pub fn predict(
+        &self,
+        at_s: f64,
+        motion: &MotionModel,
+        ego: &EgoRotation,
+    ) -> Result<Self, FilterError> {
         if !at_s.is_finite() {
             return Err(FilterError::Unusable { what: "time" });
         }
-        let (stamp_s, longest_s) = (self.stamp_s, self.motion.longest_step_s);
+        let (stamp_s, longest_s) = (self.stamp_s, motion.longest_step_s);
         let step = at_s - stamp_s;
         if step < 0.0 {
             return Err(FilterError::Past { at_s, stamp_s });
@@ -264,9 +216,8 @@ impl Track {
         transition
             .fixed_view_mut::<3, 3>(3, 9)
             .copy_from(&(left_jacobian(&(self.rate * step)) * step));
-        let covariance =
-            transition * self.covariance * transition.transpose() + self.motion.noise(step);
-        let moved = Prediction {
+        let covariance = transition * self.covariance * transition.transpose() + motion.noise(step);
+        let moved = Self {
             stamp_s: at_s,
             camera_from_markers,
             velocity: self.velocity,
@@ -277,33 +228,25 @@ impl Track {
         Ok(moved.turned(&ego.between(stamp_s, at_s)))
     }
 
-    /// Takes in a pose measured at `stamp_s` by a camera that turned by `ego`, unless it lies outside
-    /// `gate`: the largest squared Mahalanobis distance to pass (see [`chi_square_gate`]).
-    ///
-    /// `covariance`: the measurement's: position (m), then rotation vector (rad), in the camera's
-    /// axes.
+    /// Takes in a pose measured at `stamp_s` by a camera that turned by `ego`, unless it lies
+    /// outside `gate`: the largest squared Mahalanobis distance to pass (see [`chi_square_gate`]).
+    /// Returns the logarithm of how likely the measurement was, but for a constant.
     ///
     /// # Errors
     /// [`FilterError`]; the track is then as it was before.
     pub fn update(
         &mut self,
         stamp_s: f64,
-        measured: &Isometry3<f64>,
-        covariance: &Matrix6<f64>,
+        measured: &PoseEstimate,
         gate: f64,
+        motion: &MotionModel,
         ego: &EgoRotation,
-    ) -> Result<Innovation, FilterError> {
-        check(stamp_s, measured, covariance)?;
-        let predicted = self.predict(stamp_s, ego)?;
+    ) -> Result<f64, FilterError> {
+        check(stamp_s, measured)?;
+        let predicted = self.predict(stamp_s, motion, ego)?;
+        let covariance = &measured.covariance;
         let pose = &predicted.camera_from_markers;
-        let mut difference = Vector6::zeros();
-        difference
-            .fixed_rows_mut::<3>(0)
-            .copy_from(&(measured.translation.vector - pose.translation.vector));
-        difference
-            .fixed_rows_mut::<3>(3)
-            .copy_from(&(measured.rotation * pose.rotation.inverse()).scaled_axis());
-
+        let difference = pose_difference(&measured.camera_from_markers, pose);
         // The measurement is the state's first half: H = [I 0].
         let innovation_covariance = predicted.pose_covariance() + covariance;
         let Some(factor) = innovation_covariance.cholesky() else {
@@ -311,9 +254,9 @@ impl Track {
         };
         let distance_squared = difference.dot(&factor.solve(&difference));
         let log_determinant = 2.0 * factor.l_dirty().diagonal().map(f64::ln).sum();
-        let innovation = Innovation { difference, distance_squared, log_determinant };
+        let log_likelihood = -0.5 * (distance_squared + log_determinant);
         if distance_squared.is_nan() || distance_squared > gate {
-            return Err(FilterError::Gated { innovation, gate });
+            return Err(FilterError::Gated { distance_squared, log_likelihood, gate });
         }
         let seen = predicted.covariance.fixed_rows::<6>(0).into_owned();
         let gain: SMatrix<f64, 12, 6> = factor.solve(&seen).transpose();
@@ -340,7 +283,7 @@ impl Track {
         self.velocity = predicted.velocity + correction.fixed_rows::<3>(6);
         self.rate = predicted.rate + correction.fixed_rows::<3>(9);
         self.covariance = (updated + updated.transpose()) / 2.0;
-        Ok(innovation)
+        Ok(log_likelihood)
     }
 }
 
@@ -374,11 +317,8 @@ fn left_jacobian(vector: &Vector3<f64>) -> Matrix3<f64> {
     Matrix3::identity() + cross * first + cross * cross * second
 }
 
-fn check(
-    stamp_s: f64,
-    pose: &Isometry3<f64>,
-    covariance: &Matrix6<f64>,
-) -> Result<(), FilterError> {
+fn check(stamp_s: f64, measured: &PoseEstimate) -> Result<(), FilterError> {
+    let PoseEstimate { camera_from_markers: pose, covariance } = measured;
     let finite_pose = pose.translation.vector.iter().all(|x| x.is_finite())
         && (pose.rotation.quaternion().norm() - 1.0).abs() < 1e-6;
     if !stamp_s.is_finite() {

@@ -8,25 +8,9 @@ use nalgebra::{Isometry3, Matrix6, Translation3, Unit, UnitQuaternion, Vector3, 
 use crate::Ray;
 use crate::body::{Body, Marker, squares};
 use crate::pose::CornerRay;
-
-/// Repeatable random numbers (Steele, Lea, Flood, "Fast splittable pseudorandom number generators",
-/// 2014).
-pub struct Chance(u64);
+pub use crate::random::Chance;
 
 impl Chance {
-    /// Starts from a seed.
-    pub fn new(seed: u64) -> Self {
-        Self(seed)
-    }
-
-    fn bits(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ (z >> 31)
-    }
-
     /// Even between `low` and `high`.
     pub fn even(&mut self, low: f64, high: f64) -> f64 {
         low + (high - low) * (self.bits() >> 11) as f64 / (1u64 << 53) as f64
@@ -77,8 +61,8 @@ pub fn visible<'a>(body: &'a Body, pose: &Isometry3<f64>, least: f64) -> Vec<&'a
         .collect()
 }
 
-/// How the corners of a marker are seen, each ray with this noise, which it states. Noise beyond 3.5
-/// deviations is cut off, so that no ray rightly looks like an outlier.
+/// How the corners of a marker are seen, each ray with this noise, which it states. Noise beyond
+/// 3.5 deviations is cut off, so that no ray rightly looks like an outlier.
 pub fn see(
     marker: &Marker,
     pose: &Isometry3<f64>,
@@ -102,9 +86,7 @@ pub fn see(
 
 /// True less found: position, then rotation vector, in the camera's axes.
 pub fn error(truth: &Isometry3<f64>, found: &Isometry3<f64>) -> Vector6<f64> {
-    let position = truth.translation.vector - found.translation.vector;
-    let rotation = (truth.rotation * found.rotation.inverse()).scaled_axis();
-    Vector6::from_iterator(position.iter().chain(rotation.iter()).copied())
+    crate::pose::pose_difference(truth, found)
 }
 
 /// Squared Mahalanobis distance.
@@ -112,3 +94,24 @@ pub fn distance_squared(error: &Vector6<f64>, covariance: &Matrix6<f64>) -> f64 
     let factor = covariance.cholesky().expect("a covariance");
     error.dot(&factor.solve(error))
 }
+
+/// Best known covering diameters, degrees: proved for 4 to 7, 10, 12 and 14 (L. Fejes Toth,
+/// Schuette, G. Fejes Toth), else from the tables of Tarnai and Gaspar and of Sloane.
+pub const BEST_KNOWN_DEG: [(usize, f64); 16] = [
+    (4, 141.0576),
+    (5, 126.8699),
+    (6, 109.4712),
+    (7, 102.0531),
+    (8, 96.2791),
+    (9, 91.7578),
+    (10, 84.6157),
+    (11, 82.8544),
+    (12, 74.7547),
+    (13, 74.1371),
+    (14, 69.8759),
+    (15, 68.0798),
+    (16, 65.7976),
+    (20, 59.2462),
+    (24, 53.71),
+    (32, 45.3810),
+];

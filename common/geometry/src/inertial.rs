@@ -9,4 +9,4 @@ pub mod errors;
 pub mod record;
 
 pub use errors::SensorErrors;
-pub use record::{RateRecord, RateSample, SensorTurn};
+pub use record::{RateRecord, RateSample};

@@ -17,7 +17,7 @@
 //!
 //! ```
 //! use flockeye_geometry::body::squares;
-//! use flockeye_geometry::pose::{CornerRay, PoseOptions, solve};
+//! use flockeye_geometry::pose::{CornerRay, solve};
 //! use nalgebra::{Isometry3, Point3, Unit, Vector3};
 //!
 //! // A neighbour 1.5 m ahead, and the rays to the corners of its markers that face the camera.
@@ -35,7 +35,7 @@
 //!         }));
 //!     }
 //! }
-//! let poses = solve(&body, &rays, &PoseOptions::default())?;
+//! let poses = solve(&body, &rays)?;
 //! let error = poses[0].camera_from_markers.translation.vector - camera_from_markers.translation.vector;
 //! assert!(error.norm() < 1e-3);
 //! # Ok::<(), flockeye_geometry::pose::PoseError>(())
@@ -54,6 +54,7 @@ pub mod inertial;
 pub mod mask;
 pub mod partition;
 pub mod pose;
+mod random;
 pub mod search;
 pub mod statistics;
 pub mod timeline;

@@ -1,7 +1,7 @@
 //! What a camera cannot see: beyond its image circles, and behind the own airframe.
 
 use crate::Ray;
-use crate::camera::Camera;
+use crate::camera::{Camera, CameraError};
 use crate::view::{View, ViewPixel};
 
 /// The parts of a camera's image that show the outside.
@@ -10,22 +10,6 @@ pub struct Mask {
     camera: Camera,
     /// Whether each pixel sees out, row by row; empty where all do.
     seen: Vec<bool>,
-}
-
-/// Why there is no such mask.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
-pub enum MaskError {
-    /// Its picture is not of the frames' size.
-    #[error(
-        "it has {}x{} pixels, frames have {}x{}. Cure: draw the mask on a frame of this camera",
-        .mask[0], .mask[1], .frame[0], .frame[1]
-    )]
-    Sides {
-        /// Columns and rows of the mask.
-        mask: [u32; 2],
-        /// Columns and rows of a frame.
-        frame: [u32; 2],
-    },
 }
 
 /// Pixels of a view between two points that are looked at, at most: a gap holds no marker.
@@ -41,11 +25,11 @@ impl Mask {
     ///
     /// # Errors
     /// Other sides than the camera's.
-    pub fn new(camera: Camera, sides: [u32; 2], seen: Vec<bool>) -> Result<Self, MaskError> {
+    pub fn new(camera: Camera, sides: [u32; 2], seen: Vec<bool>) -> Result<Self, CameraError> {
         let frame = [camera.width(), camera.height()];
         let pixels = frame[0] as usize * frame[1] as usize;
         if sides != frame || seen.len() != pixels {
-            return Err(MaskError::Sides { mask: sides, frame });
+            return Err(CameraError::MaskSides { mask: sides, frame });
         }
         Ok(Self { camera, seen })
     }

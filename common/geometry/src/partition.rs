@@ -12,7 +12,6 @@ mod criterion;
 mod hull;
 mod orientation;
 mod paper;
-mod random;
 mod rolls;
 mod squares;
 mod stored;
@@ -27,8 +26,8 @@ use nalgebra::{Unit, UnitQuaternion, Vector3};
 
 use crate::Ray;
 use crate::view::{View, upright_axes};
-pub use criterion::{Criterion, Terms, Weights, WeightsError};
-use hull::{Facet, covering_cosine, hull};
+pub use criterion::{Criterion, Terms};
+use hull::{Triangle, covering_cosine, hull};
 use squares::{Square, half_field};
 
 /// The fewest views that cover the sphere: no three pinhole images do.
@@ -44,27 +43,6 @@ pub const STORED_SEED: u64 = 1;
 const LARGEST_FIELD_RAD: f64 = 140.0 / 180.0 * PI;
 /// How far a view's half-field may be above the smallest that does: 0.0003 degrees.
 const TOLERANCE_RAD: f64 = 5e-6;
-
-/// Best known covering diameters, degrees: proved for 4 to 7, 10, 12 and 14 (L. Fejes Toth,
-/// Schuette, G. Fejes Toth), else from the tables of Tarnai and Gaspar and of Sloane.
-pub const BEST_KNOWN_DEG: [(usize, f64); 16] = [
-    (4, 141.0576),
-    (5, 126.8699),
-    (6, 109.4712),
-    (7, 102.0531),
-    (8, 96.2791),
-    (9, 91.7578),
-    (10, 84.6157),
-    (11, 82.8544),
-    (12, 74.7547),
-    (13, 74.1371),
-    (14, 69.8759),
-    (15, 68.0798),
-    (16, 65.7976),
-    (20, 59.2462),
-    (24, 53.71),
-    (32, 45.3810),
-];
 
 /// How directions are found.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -82,7 +60,7 @@ pub struct Partition {
     directions: Vec<Ray>,
     rolls_deg: Vec<f64>,
     /// Facets of the directions' hull: the holes between the circles.
-    facets: Vec<Facet>,
+    facets: Vec<Triangle>,
 }
 
 /// The stored ones, measured once.
@@ -95,78 +73,60 @@ static PARTITIONS: LazyLock<Vec<Partition>> = LazyLock::new(|| {
 
 /// Why there is no partition, or none with such views.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
+#[expect(missing_docs, reason = "the messages say what the fields are")]
 pub enum PartitionError {
     /// Too few or too many.
     #[error(
         "a partition has {FEWEST} to {MOST} views, not {count}: three flat images never see the \
          whole sphere, and with more than {MOST} a frame is never searched in time"
     )]
-    Count {
-        /// Views asked for.
-        count: usize,
-    },
+    Count { count: usize },
     /// Directions that all lie in a plane, or coincide, or rolls that are not one for each.
     #[error("{directions} directions with {rolls} rolls do not go round the sphere")]
-    Directions {
-        /// How many directions there are.
-        directions: usize,
-        /// How many rolls.
-        rolls: usize,
-    },
+    Directions { directions: usize, rolls: usize },
     /// The margin has no width.
     #[error("a margin of {:.1} degrees is none: it must be 0 or more", .margin_rad.to_degrees())]
-    Margin {
-        /// The margin asked for, radians.
-        margin_rad: f64,
-    },
+    Margin { margin_rad: f64 },
     /// The views would be larger than a pinhole image can be.
     #[error(
         "{count} views that hold whatever is {:.1} degrees wide would each span more than {:.0} \
          degrees, and a flat image has no more; {}",
-        .margin_rad.to_degrees(), LARGEST_FIELD_RAD.to_degrees(), .cure
+        .margin_rad.to_degrees(), LARGEST_FIELD_RAD.to_degrees(), cure(.largest_margin_rad, .fewest)
     )]
-    Field {
-        /// How many views there are.
-        count: usize,
-        /// The margin asked for, radians.
-        margin_rad: f64,
-        /// What would do.
-        cure: FieldCure,
-    },
-    /// Weights that are none, for the choice of the number of views.
-    #[error(transparent)]
-    Weights(#[from] WeightsError),
+    Field { count: usize, margin_rad: f64, largest_margin_rad: Option<f64>, fewest: Option<usize> },
+    /// A weight of the criterion that would not count, or count the wrong way.
+    #[error("each weight must be above 0, not {weights:?}: use 0.01 for what hardly counts")]
+    NegligibleWeight { weights: [f64; 3] },
+    /// Weights of the criterion that are no shares of a whole.
+    #[error(
+        "weights must sum to 1, but {weights:?} sum to {:.4}: divided by that they are [{}]",
+        .weights.iter().sum::<f64>(), shares(.weights)
+    )]
+    WeightSum { weights: [f64; 3] },
     /// A resolution that gives no picture.
     #[error("{pixels_per_radian} pixels for each radian give no view: 1 to 100000 are allowed")]
-    Resolution {
-        /// Pixels for each radian at the view's middle.
-        pixels_per_radian: f64,
-    },
+    Resolution { pixels_per_radian: f64 },
 }
 
-/// What would do instead of a margin that is too large.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct FieldCure {
-    /// The largest margin of so many views, radians; `None` if there is none.
-    pub largest_margin_rad: Option<f64>,
-    /// The fewest views, of the stored ones, with the margin asked for; `None` if none do.
-    pub fewest: Option<usize>,
+/// What weights are as shares of their sum, as text.
+fn shares(weights: &[f64; 3]) -> String {
+    let sum: f64 = weights.iter().sum();
+    weights.map(|weight| format!("{:.4}", weight / sum)).join(", ")
 }
 
-impl std::fmt::Display for FieldCure {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        match self.largest_margin_rad {
-            // Rounded down, so that what is said does.
-            Some(margin) => {
-                let degrees = (margin.to_degrees() * 10.0).floor() / 10.0;
-                write!(f, "the largest margin of so many is {degrees:.1} degrees")?;
-            }
-            None => write!(f, "no margin makes so few do")?,
+/// What would do instead of a margin that is too large: [`PartitionError::Field`].
+fn cure(largest_margin_rad: &Option<f64>, fewest: &Option<usize>) -> String {
+    let margin = match largest_margin_rad {
+        // Rounded down, so that what is said does.
+        Some(margin) => {
+            let degrees = (margin.to_degrees() * 10.0).floor() / 10.0;
+            format!("the largest margin of so many is {degrees:.1} degrees")
         }
-        match self.fewest {
-            Some(fewest) => write!(f, ", the fewest views for this margin are {fewest}"),
-            None => write!(f, ", and no number of views does for this margin"),
-        }
+        None => "no margin makes so few do".to_owned(),
+    };
+    match fewest {
+        Some(fewest) => format!("{margin}, the fewest views for this margin are {fewest}"),
+        None => format!("{margin}, and no number of views does for this margin"),
     }
 }
 
@@ -280,13 +240,13 @@ impl Partition {
                 other.squares_field_rad(margin_rad).is_some_and(|field| fits(&field))
             });
             let fewest = fewest.map(|other| other.len());
-            let cure = FieldCure { largest_margin_rad: self.largest_margin_rad(), fewest };
-            PartitionError::Field { count: self.len(), margin_rad, cure }
+            let largest_margin_rad = self.largest_margin_rad();
+            PartitionError::Field { count: self.len(), margin_rad, largest_margin_rad, fewest }
         })
     }
 
     /// The largest margin, radians, for which there are views; `None` if there are none at all.
-    pub fn largest_margin_rad(&self) -> Option<f64> {
+    fn largest_margin_rad(&self) -> Option<f64> {
         let fits = |margin: f64| {
             self.squares_field_rad(margin).is_some_and(|field| field < LARGEST_FIELD_RAD)
         };
@@ -333,11 +293,6 @@ impl Partition {
         Ok(self.directions.iter().zip(&self.rolls_deg).map(view).collect())
     }
 
-    /// Angle between the directions of two partitions, radians; `None` if one does not exist.
-    pub fn distance_rad(&self, from: usize, to: usize) -> Option<f64> {
-        Some(self.directions.get(from)?.angle(self.directions.get(to)?))
-    }
-
     /// The partition whose direction is nearest to `ray_in_camera`; the lower number in a tie.
     pub fn nearest(&self, ray_in_camera: &Ray) -> usize {
         let mut nearest = (0, f64::NEG_INFINITY);
@@ -359,7 +314,7 @@ impl Partition {
         }
         let points = vectors(&self.directions);
         let certified = half_field(&self.squares(), &points, &self.facets, half_rad, TOLERANCE_RAD)
-            .map(|field| 2.0 * field.certified_tan.atan());
+            .map(|field| 2.0 * field.certified_tan().atan());
         let circumscribed = (circumscribed_rad / 2.0 < FRAC_PI_2).then_some(circumscribed_rad);
         certified.into_iter().chain(circumscribed).reduce(f64::min)
     }

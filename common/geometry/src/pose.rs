@@ -6,9 +6,9 @@
 //!    these leave rays unexplained, two more for each three of its corners;
 //! 2. all hypotheses are scored on all rays: what does not fit, or would face away, costs a fixed
 //!    amount, so that misread markers and wrong corners are outvoted;
-//! 3. the best are refined on all rays by Levenberg-Marquardt over the angular error ([`refine()`]);
+//! 3. the best are refined on all rays by Levenberg-Marquardt over the angular error (`refine`);
 //! 4. what remains distinct is returned, cheapest first. Both mirror solutions are kept: [`choose`]
-//!    decides, with the track's prediction if there is one, and says how ambiguous that was.
+//!    decides, with the track's prediction if there is one.
 //!
 //! Rays may point anywhere, also backwards: everything is done on the sphere.
 
@@ -20,32 +20,42 @@ mod refine;
 mod residual;
 
 pub use candidates::{mirror_image, solve};
-pub use choice::{Choice, PosePrior, choose};
+pub use choice::choose;
 pub use ippe::squared_distance_from_square;
 pub use rays::{CornerRay, keep_sharpest};
-pub use refine::refine;
+pub use residual::moved;
 
-use nalgebra::{Isometry3, Matrix6};
+use nalgebra::{Isometry3, Matrix6, Vector6};
+use serde::{Deserialize, Serialize};
 
-/// How rays are believed.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct PoseOptions {
-    /// Scale of the robust (Cauchy) cost, in standard deviations: errors well below it count fully.
-    pub robust_scale: f64,
-    /// A corner fits if its error is below so many standard deviations, stated or as the corners that
-    /// fit scatter, whichever is more...
-    pub gate_deviations: f64,
-    /// ...and, at first, if it is below this share of its marker's apparent side: detectors' corners
-    /// are biased by more than they admit, while a misread or turned marker is off by about a side.
-    pub gate_side: f64,
-    /// How many hypotheses are refined at most.
-    pub refined_max: usize,
+/// Scale of the robust (Cauchy) cost, in standard deviations: errors well below it count fully.
+const ROBUST_SCALE: f64 = 3.0;
+/// A corner fits if its error is below so many standard deviations, stated or as the corners that
+/// fit scatter, whichever is more...
+const GATE_DEVIATIONS: f64 = 5.0;
+/// ...and, at first, if it is below this share of its marker's apparent side: detectors' corners
+/// are biased by more than they admit, while a misread or turned marker is off by about a side.
+const GATE_SIDE: f64 = 0.12;
+
+/// A pose with its covariance, measured or predicted.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct PoseEstimate {
+    /// The pose of the body's markers in the camera frame.
+    pub camera_from_markers: Isometry3<f64>,
+    /// Covariance of position (m), then rotation vector (rad), in the camera frame's axes.
+    pub covariance: Matrix6<f64>,
 }
 
-impl Default for PoseOptions {
-    fn default() -> Self {
-        Self { robust_scale: 3.0, gate_deviations: 5.0, gate_side: 0.12, refined_max: 6 }
-    }
+/// `found` less `expected`: position (m), then rotation vector (rad), in the camera frame's axes.
+pub fn pose_difference(found: &Isometry3<f64>, expected: &Isometry3<f64>) -> Vector6<f64> {
+    let mut difference = Vector6::zeros();
+    difference
+        .fixed_rows_mut::<3>(0)
+        .copy_from(&(found.translation.vector - expected.translation.vector));
+    difference
+        .fixed_rows_mut::<3>(3)
+        .copy_from(&(found.rotation * expected.rotation.inverse()).scaled_axis());
+    difference
 }
 
 /// A pose that explains the rays, or most of them.
@@ -67,11 +77,6 @@ pub struct PoseSolution {
     pub inlier_markers: Vec<u32>,
     /// Rays of those markers that fit.
     pub inlier_corners: usize,
-    /// Usable rays there were in all.
-    pub corners: usize,
-    /// Whether the front of every inlier marker faces the camera. Solutions in which one clearly
-    /// faces away are not returned; `false` is left for one seen edge on.
-    pub faces_camera: bool,
 }
 
 impl PoseSolution {
@@ -82,21 +87,16 @@ impl PoseSolution {
     }
 }
 
-/// Standard deviations of a pose, all axes together: the roots of the expected squared distance and turn.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct PoseDeviations {
-    /// Metres.
-    pub position_m: f64,
-    /// Radians.
-    pub rotation_rad: f64,
+/// Standard deviation of a pose's position, all axes together: the root of the expected squared
+/// distance, metres. The covariance is of position (m), then rotation vector (rad).
+pub fn position_deviation_m(covariance: &Matrix6<f64>) -> f64 {
+    covariance.fixed_view::<3, 3>(0, 0).trace().sqrt()
 }
 
-impl PoseDeviations {
-    /// Reads the deviations from a covariance of position (m), then rotation vector (rad).
-    pub fn of(covariance: &Matrix6<f64>) -> Self {
-        let deviation = |first| covariance.fixed_view::<3, 3>(first, first).trace().sqrt();
-        Self { position_m: deviation(0), rotation_rad: deviation(3) }
-    }
+/// Standard deviation of a pose's rotation, all axes together: the root of the expected squared
+/// turn, radians. The covariance is that of [`position_deviation_m`].
+pub fn rotation_deviation_rad(covariance: &Matrix6<f64>) -> f64 {
+    covariance.fixed_view::<3, 3>(3, 3).trace().sqrt()
 }
 
 /// A pose that is wrong by more than this, metres, is a false one.
@@ -112,29 +112,19 @@ pub fn is_false(pose: &Isometry3<f64>, truth: &Isometry3<f64>) -> bool {
 
 /// Why there is no pose.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[expect(missing_docs, reason = "the messages say what the fields are")]
 pub enum PoseError {
     /// A pose needs four rays: one whole marker.
     #[error("{usable} of {given} rays are usable: at least 4 are needed")]
-    TooFewRays {
-        /// Rays of the body's own corners, finite and with a positive deviation.
-        usable: usize,
-        /// Rays given.
-        given: usize,
-    },
+    TooFewRays { usable: usize, given: usize },
     /// No marker has all of its corners, so there is nothing to start from.
     #[error(
         "none of the {markers} markers seen has all four corners: refine a predicted pose instead"
     )]
-    NoWholeMarker {
-        /// Markers with at least one usable ray.
-        markers: usize,
-    },
+    NoWholeMarker { markers: usize },
     /// No pose was found in which any marker fits its rays and faces the camera.
     #[error("no pose explains any of the {markers} markers seen")]
-    NothingFits {
-        /// Markers with at least one usable ray.
-        markers: usize,
-    },
+    NothingFits { markers: usize },
 }
 
 #[cfg(test)]

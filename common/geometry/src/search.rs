@@ -4,14 +4,14 @@
 //! [`roi_view`]); a [`Planner`] makes a [`Plan`] of them, from what [`Searched`] remembers.
 //!
 //! The sphere is covered by *tiles*, the partition's views, and beside them by *high-resolution
-//! tiles* for neighbours at long range. A tracked neighbour has a *region of interest*, a small view
-//! at where it is predicted.
+//! tiles* for neighbours at long range. A tracked neighbour has a *region of interest*, a small
+//! view at where it is predicted.
 
 mod roi;
 mod searched;
 mod sweep;
 
-pub use roi::{PredictedNeighbour, RoiOptions, roi_view};
+pub use roi::{PredictedNeighbour, ROI_SIZE_MAX_PX, RoiOptions, roi_view};
 pub use searched::Searched;
 pub use sweep::least_recently_searched;
 
@@ -20,6 +20,9 @@ use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use crate::mask::Mask;
 use crate::partition::Partition;
 use crate::view::View;
+
+/// Neighbours' views that come before the first partition: see [`Planner::plan`].
+const VIEWS_BEFORE_PARTITION: usize = 4;
 
 /// How a frame is searched.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -72,12 +75,13 @@ pub enum Search {
     Nothing,
 }
 
-/// Half the field of a proposal's view, radii of the body that it may be: its middle may be off the place.
+/// Half the field of a proposal's view, radii of the body that it may be: its middle may be off the
+/// place.
 pub const PROPOSAL_FIELD_RADII: f64 = 1.7;
 
 /// One view of a plan.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct PlannedView {
+pub struct SearchView {
     /// What to cut.
     pub view: View,
     /// Why.
@@ -93,7 +97,7 @@ pub struct PlannedView {
 #[derive(Debug, Clone, PartialEq)]
 pub struct Plan {
     /// The views, in the order in which they are to be cut.
-    pub views: Vec<PlannedView>,
+    pub views: Vec<SearchView>,
     /// When to stop.
     pub stop_rule: StopRule,
     /// How many of them a lossless run cuts, where time must not decide.
@@ -134,29 +138,24 @@ pub fn optimized(partition: &Partition, n: Option<usize>) -> Vec<usize> {
 pub struct Planner {
     mode: SearchMode,
     partition: Partition,
-    tiles: Vec<Tile>,
-    high_resolution: Vec<Tile>,
+    /// The view of each partition; `None` where the camera sees nothing of it.
+    tiles: Vec<Option<View>>,
+    /// The same of the high-resolution tiles.
+    high_resolution: Vec<Option<View>>,
     mask: Option<Mask>,
     roi: RoiOptions,
     alternates_windows: bool,
-    proposals: Proposals,
-}
-
-/// Views of places that look like bodies.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-struct Proposals {
-    /// How many targets there are.
     targets: usize,
-    /// Views in a frame while one of them is not tracked.
-    views: usize,
+    /// Views of places that look like bodies, in a frame while a target is not tracked.
+    proposals: usize,
 }
 
-/// After this many frames without a tile one is searched however little time there is, so that untracked
-/// targets are found.
+/// After this many frames without a tile one is searched however little time there is, so that
+/// untracked targets are found.
 pub const MAX_FRAMES_WITHOUT_TILE: u64 = 4;
 
-/// A view in a plan for which no place is known yet. It is cut like this where none is found, at no cost
-/// worth counting.
+/// A view in a plan for which no place is known yet. It is cut like this where none is found, at no
+/// cost worth counting.
 const UNPLACED: View = View {
     camera_from_view: UnitQuaternion::new_unchecked(Quaternion::new(1.0, 0.0, 0.0, 0.0)),
     focal_px: 16.0,
@@ -164,59 +163,35 @@ const UNPLACED: View = View {
 };
 
 /// A proposal in a plan.
-const PROPOSAL: PlannedView = PlannedView {
+const PROPOSAL: SearchView = SearchView {
     view: UNPLACED,
     purpose: Purpose::Proposal,
     search: Search::Nothing,
     rate_in_camera: Vector3::new(0.0, 0.0, 0.0),
 };
 
-#[derive(Debug, Clone, Copy, PartialEq)]
-struct Tile {
-    view: View,
-    /// Whether the camera sees nothing of it.
-    is_hidden: bool,
-}
-
-impl Tile {
-    fn new(view: View, mask: Option<&Mask>) -> Self {
-        Self { view, is_hidden: mask.is_some_and(|mask| mask.hides_view(&view)) }
-    }
-}
-
 /// Indices of the tiles of which the camera sees something.
-fn visible(tiles: &[Tile]) -> impl Iterator<Item = usize> {
-    tiles.iter().enumerate().filter(|(_, tile)| !tile.is_hidden).map(|(index, _)| index)
+fn visible(tiles: &[Option<View>]) -> impl Iterator<Item = usize> {
+    tiles.iter().enumerate().filter(|(_, view)| view.is_some()).map(|(index, _)| index)
 }
 
 /// Why a planner could not be made.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
+#[expect(missing_docs, reason = "the messages say what the fields are")]
 pub enum PlannerError {
     /// The views are not those of the partition.
     #[error("{views} views for {partitions} partitions: there must be one for each")]
-    Views {
-        /// Views given.
-        views: usize,
-        /// Partitions there are.
-        partitions: usize,
-    },
+    Views { views: usize, partitions: usize },
     /// An option of the mode roi is out of its range.
     #[error("option of the mode roi, {name} is {value}: {cure}")]
-    Roi {
-        /// The field of [`RoiOptions`].
-        name: &'static str,
-        /// Its value.
-        value: f64,
-        /// What would be right.
-        cure: &'static str,
-    },
+    Roi { name: &'static str, value: f64, cure: &'static str },
 }
 
 impl Planner {
     /// A planner for `mode`; `views` are the partition's own ([`Partition::views`]).
     ///
     /// # Errors
-    /// Views that are not one for each partition; option of the mode roi,s out of range.
+    /// Views that are not one for each partition; options of the mode roi out of range.
     pub fn new(
         mode: SearchMode,
         partition: Partition,
@@ -227,38 +202,39 @@ impl Planner {
             return Err(PlannerError::Views { views: views.len(), partitions: partition.len() });
         }
         roi.check()?;
-        let tiles = views.into_iter().map(|view| Tile::new(view, None)).collect();
         Ok(Self {
             mode,
             partition,
-            tiles,
+            tiles: views.into_iter().map(Some).collect(),
             high_resolution: Vec::new(),
             mask: None,
             roi,
             alternates_windows: false,
-            proposals: Proposals::default(),
+            targets: 0,
+            proposals: 0,
         })
     }
 
     /// In the mode [`SearchMode::Roi`], also sweeps the sphere with these views of a higher
     /// resolution, for neighbours that are too far for the partition's own.
     pub fn with_high_resolution_tiles(mut self, views: Vec<View>) -> Self {
-        let tile = |view| Tile::new(view, self.mask.as_ref());
-        self.high_resolution = views.into_iter().map(tile).collect();
+        let is_hidden = |view: &View| self.mask.as_ref().is_some_and(|mask| mask.hides_view(view));
+        self.high_resolution =
+            views.into_iter().map(|view| (!is_hidden(&view)).then_some(view)).collect();
         self
     }
 
     /// Plans no view in which `mask` hides everything.
     pub fn with_mask(mut self, mask: Mask) -> Self {
         for tile in self.tiles.iter_mut().chain(&mut self.high_resolution) {
-            *tile = Tile::new(tile.view, Some(&mask));
+            *tile = tile.filter(|view| !mask.hides_view(view));
         }
         self.mask = Some(mask);
         self
     }
 
-    /// Whether each tile is searched with one threshold window at a time, the fine and the coarse one
-    /// in turn, instead of all of them.
+    /// Whether each tile is searched with one threshold window at a time, the fine and the coarse
+    /// one in turn, instead of all of them.
     ///
     /// That takes about half the time for each tile, so that the sphere is swept nearly twice as
     /// often. Most markers are found with either window, the others at the next visit.
@@ -266,10 +242,10 @@ impl Planner {
         Self { alternates_windows, ..self }
     }
 
-    /// In the mode [`SearchMode::Roi`], asks for `views` proposals in each frame while one of `targets`
-    /// targets is not tracked; in the mode [`SearchMode::Exhaustive`] in each frame.
+    /// In the mode [`SearchMode::Roi`], asks for `views` proposals in each frame while one of
+    /// `targets` targets is not tracked; in the mode [`SearchMode::Exhaustive`] in each frame.
     pub fn with_proposals(self, targets: usize, views: usize) -> Self {
-        Self { proposals: Proposals { targets, views }, ..self }
+        Self { targets, proposals: views, ..self }
     }
 
     /// A record of searches with room for this planner's tiles, in which nothing was searched yet.
@@ -303,7 +279,7 @@ impl Planner {
             }
             SearchMode::Exhaustive => {
                 let mut plan = whole(greedy(&self.partition), StopRule::All);
-                plan.views.extend(vec![PROPOSAL; self.proposals.views]);
+                plan.views.extend(vec![PROPOSAL; self.proposals]);
                 Plan { view_budget: plan.views.len(), ..plan }
             }
             SearchMode::Roi => self.roi_plan(searched, neighbours),
@@ -311,19 +287,21 @@ impl Planner {
     }
 
     /// One region of interest for each neighbour, least recently searched first (ties by the
-    /// neighbours' own order). Then the proposals, where a target is not tracked. Then the tiles of both
-    /// resolutions in turn, least recently searched first.
+    /// neighbours' own order). Then the proposals, where a target is not tracked. Then the tiles of
+    /// both resolutions in turn, least recently searched first.
     ///
-    /// After [`MAX_FRAMES_WITHOUT_TILE`] frames without a tile, the first tile comes before the proposals:
-    /// what is never proposed must be found too.
+    /// After [`MAX_FRAMES_WITHOUT_TILE`] frames without a tile, the first tile comes before the
+    /// proposals: what is never proposed must be found too.
     ///
-    /// Where there are more than [`RoiOptions::views_before_partition`] neighbours, the first tile
-    /// comes right after that many of their views. So a frame with time for one view more searches at
-    /// least one tile, and all N tiles are searched within N such frames, however many neighbours
-    /// there are. A neighbour left out comes first in the next frame.
+    /// Where there are more than `VIEWS_BEFORE_PARTITION` neighbours, the first tile
+    /// comes right after that many of their views. So a frame with time for one view more searches
+    /// at least one tile, and all N tiles are searched within N such frames, however many
+    /// neighbours there are. A neighbour left out comes first in the next frame.
     fn roi_plan(&self, searched: &Searched, neighbours: &[PredictedNeighbour]) -> Plan {
-        let mut regions: Vec<PlannedView> =
-            neighbours.iter().filter_map(|neighbour| roi_view(neighbour, &self.roi)).collect();
+        let mut regions: Vec<SearchView> = neighbours
+            .iter()
+            .filter_map(|neighbour| roi_view(neighbour, self.roi.pixels_per_radian))
+            .collect();
         if let Some(mask) = &self.mask {
             regions.retain(|planned| !mask.hides_view(&planned.view));
         }
@@ -331,20 +309,17 @@ impl Planner {
         let order =
             least_recently_searched(searched, visible(&self.tiles), visible(&self.high_resolution));
         let tiles = self.tile_views(searched, &order);
-        let proposals = match self.proposals {
-            Proposals { targets, views } if neighbours.len() < targets => views,
-            _ => 0,
-        };
+        let proposals = if neighbours.len() < self.targets { self.proposals } else { 0 };
         let view_budget =
             regions.len() + proposals + self.roi.partitions_per_frame.min(tiles.len());
         let mut views = regions;
         let (first, others) = tiles.split_at(tiles.len().min(1));
-        let is_crowded = views.len() > self.roi.views_before_partition;
+        let is_crowded = views.len() > VIEWS_BEFORE_PARTITION;
         let is_tile_due = searched.frames_without_tile() >= MAX_FRAMES_WITHOUT_TILE;
         let mut rest = vec![PROPOSAL; proposals];
         match (is_crowded, is_tile_due) {
             (true, _) => {
-                let early = self.roi.views_before_partition;
+                let early = VIEWS_BEFORE_PARTITION;
                 views.splice(early..early, first.iter().copied());
             }
             (false, true) => views.extend_from_slice(first),
@@ -356,15 +331,15 @@ impl Planner {
     }
 
     /// The tiles in this order, without those of which the camera sees nothing.
-    fn tile_views(&self, searched: &Searched, order: &[Purpose]) -> Vec<PlannedView> {
+    fn tile_views(&self, searched: &Searched, order: &[Purpose]) -> Vec<SearchView> {
         let tile = |purpose: &Purpose| {
-            let tile = match *purpose {
-                Purpose::Partition(index) => self.tiles.get(index)?,
-                Purpose::HighResolution(index) => self.high_resolution.get(index)?,
-                Purpose::Roi(_) | Purpose::Proposal => return None,
+            let view = match *purpose {
+                Purpose::Partition(index) => *self.tiles.get(index)?,
+                Purpose::HighResolution(index) => *self.high_resolution.get(index)?,
+                Purpose::Roi(_) | Purpose::Proposal => None,
             };
-            (!tile.is_hidden).then(|| PlannedView {
-                view: tile.view,
+            Some(SearchView {
+                view: view?,
                 purpose: *purpose,
                 search: match self.alternates_windows {
                     true => searched.next_window(*purpose),

@@ -13,8 +13,8 @@ pub fn median(rising: &[f64]) -> Option<f64> {
     Some((lower + upper) / 2.0)
 }
 
-/// The value that at least `share` of the values do not exceed (nearest rank). The values are in rising
-/// order. `None` without values.
+/// The value that at least `share` of the values do not exceed (nearest rank). The values are in
+/// rising order. `None` without values.
 pub fn quantile(rising: &[f64], share: f64) -> Option<f64> {
     let rank = (share * rising.len() as f64).ceil() as usize;
     rising.get(rank.saturating_sub(1)).copied()

@@ -2,6 +2,8 @@
 
 use std::collections::VecDeque;
 
+use nalgebra::{Isometry3, UnitQuaternion};
+
 /// How long samples are kept, nanoseconds.
 const KEPT_NS: i64 = 2_000_000_000;
 /// Maximum samples: 500 a second.
@@ -11,8 +13,24 @@ const LONGEST_GAP_NS: i64 = 500_000_000;
 
 /// A value that can be interpolated.
 pub trait Interpolate: Sized {
-    /// The value at `share` (0 to 1) of the way to `later`; none where the two do not belong together.
+    /// The value at `share` (0 to 1) of the way to `later`; none where the two do not belong
+    /// together.
     fn between(&self, later: &Self, share: f64) -> Option<Self>;
+}
+
+/// The shorter way round; none between opposite attitudes, where there is no shorter way.
+impl Interpolate for UnitQuaternion<f64> {
+    fn between(&self, later: &Self, share: f64) -> Option<Self> {
+        self.try_slerp(later, share, 1e-9)
+    }
+}
+
+impl Interpolate for Isometry3<f64> {
+    fn between(&self, later: &Self, share: f64) -> Option<Self> {
+        let rotation = self.rotation.between(&later.rotation, share)?;
+        let position = self.translation.vector.lerp(&later.translation.vector, share);
+        Some(Self::from_parts(position.into(), rotation))
+    }
 }
 
 /// Samples with rising times, at most 1,000 of them.
@@ -28,7 +46,8 @@ impl<T> Default for Timeline<T> {
 }
 
 impl<T: Interpolate> Timeline<T> {
-    /// Adds a sample of this time, CLOCK_MONOTONIC. One that is not newer than the last is left out.
+    /// Adds a sample of this time, CLOCK_MONOTONIC. One that is not newer than the last is left
+    /// out.
     pub fn push(&mut self, at_ns: i64, sample: T) {
         if self.samples.back().is_some_and(|(last_ns, _)| at_ns <= *last_ns) {
             return;

@@ -72,7 +72,7 @@ impl Authority {
             },
         };
         if authority.key_path().exists() {
-            return Err(IdentityError::Exists { path: folder.into() });
+            return Err(IdentityError::Exists(folder.into()));
         }
         let key = new_key()?;
         let mut params = params(&format!("{swarm} authority"), AUTHORITY_HOLDS)?;
@@ -121,12 +121,12 @@ impl Authority {
         })
     }
 
-    /// Makes a key and a certificate that holds for `holds`, writes them to the folder `into`, with all that a
-    /// member needs, and enters the name in the roster.
+    /// Makes a key and a certificate that holds for `holds`, writes them to the folder `into`, with
+    /// all that a member needs, and enters the name in the roster.
     ///
     /// # Errors
-    /// The name cannot be one, is taken by another role, or has a revoked certificate that still holds at `now_s`,
-    /// seconds since 1970-01-01 UTC; or a file cannot be written.
+    /// The name cannot be one, is taken by another role, or has a revoked certificate that still
+    /// holds at `now_s`, seconds since 1970-01-01 UTC; or a file cannot be written.
     pub fn issue(
         &mut self,
         name: &str,
@@ -188,8 +188,8 @@ impl Authority {
         Ok((issued, files))
     }
 
-    /// Takes a name off the roster, and revokes all its certificates that have not expired at `now_s`, seconds since
-    /// 1970-01-01 UTC. How many these are.
+    /// Takes a name off the roster, and revokes all its certificates that have not expired at
+    /// `now_s`, seconds since 1970-01-01 UTC. How many these are.
     ///
     /// # Errors
     /// Nobody has this name, or a file cannot be written.
@@ -217,8 +217,8 @@ impl Authority {
         Ok(count)
     }
 
-    /// Refuses a name of which somebody may have a revoked certificate: links are judged by names, so it would count
-    /// again.
+    /// Refuses a name of which somebody may have a revoked certificate: links are judged by names,
+    /// so it would count again.
     fn check_not_burnt(&self, name: &str, now_s: i64) -> Result<(), IdentityError> {
         let burnt = self.issued()?.into_iter().filter(|issued| {
             issued.name == name
@@ -234,7 +234,6 @@ impl Authority {
         }
     }
 
-    /// Writes the changed roster.
     fn change(&mut self, key: &KeyPair) -> Result<(), IdentityError> {
         self.roster.number += 1;
         self.roster.members.sort();
@@ -275,7 +274,7 @@ impl Authority {
 }
 
 fn check_name(name: &str) -> Result<(), IdentityError> {
-    if is_name(name) { Ok(()) } else { Err(IdentityError::Name { name: name.into() }) }
+    if is_name(name) { Ok(()) } else { Err(IdentityError::Name(name.into())) }
 }
 
 fn no_random() -> IdentityError {

@@ -111,12 +111,10 @@ impl Certificate {
         Some(())
     }
 
-    /// Whether its key has signed `message`.
     pub(crate) fn has_signed(&self, message: &[u8], signature: &[u8]) -> bool {
         UnparsedPublicKey::new(&ED25519, self.public_key).verify(message, signature).is_ok()
     }
 
-    /// Whether its key is this one.
     pub(crate) fn has_key(&self, public_key: &[u8]) -> bool {
         self.public_key == public_key
     }
@@ -128,12 +126,10 @@ impl Certificate {
     }
 }
 
-/// Bytes as hexadecimal digits.
 pub(crate) fn hex(bytes: &[u8]) -> String {
     bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// Hexadecimal digits as bytes.
 pub(crate) fn unhex(text: &str) -> Option<Vec<u8>> {
     let digits: Vec<u32> = text.chars().map(|c| c.to_digit(16)).collect::<Option<_>>()?;
     let pairs = digits.chunks_exact(2);

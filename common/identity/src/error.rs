@@ -46,17 +46,11 @@ pub enum IdentityError {
         fault: CertificateFault,
     },
     /// A name that cannot be one.
-    #[error("'{name}' is no name: letters, digits, '-', '_' or '.'")]
-    Name {
-        /// What was given.
-        name: String,
-    },
+    #[error("'{0}' is no name: letters, digits, '-', '_' or '.'")]
+    Name(String),
     /// A swarm's authority is there already.
-    #[error("{}: there is an authority already. Cure: another folder", path.display())]
-    Exists {
-        /// The folder.
-        path: PathBuf,
-    },
+    #[error("{}: there is an authority already. Cure: another folder", .0.display())]
+    Exists(PathBuf),
     /// A name whose revoked certificate still holds.
     #[error(
         "a certificate of '{name}' is revoked and holds for {hours} h: with it somebody could link as '{name}' again. \

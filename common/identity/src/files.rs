@@ -14,7 +14,6 @@ fn failed(path: &Path, what: &'static str) -> impl FnOnce(std::io::Error) -> Ide
     move |source| IdentityError::File { path: path.into(), what, source }
 }
 
-/// The text of a file.
 pub(crate) fn read(path: &Path) -> Result<String, IdentityError> {
     read_from(path, &File::open(path).map_err(failed(path, "open"))?)
 }
@@ -66,7 +65,6 @@ pub(crate) fn write(path: &Path, text: &str) -> Result<(), IdentityError> {
     write_as(path, text, 0o644)
 }
 
-/// Writes a private key.
 pub(crate) fn write_private(path: &Path, text: &str) -> Result<(), IdentityError> {
     write_as(path, text, 0o600)
 }
@@ -87,7 +85,6 @@ fn write_as(path: &Path, text: &str, mode: u32) -> Result<(), IdentityError> {
     fs::rename(&new, path).map_err(failed(path, "replace"))
 }
 
-/// Makes a folder and those above it.
 pub(crate) fn make_folder(path: &Path) -> Result<(), IdentityError> {
     fs::create_dir_all(path).map_err(failed(path, "create"))
 }

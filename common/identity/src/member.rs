@@ -5,7 +5,6 @@ use std::path::{Path, PathBuf};
 use ring::signature::{Ed25519KeyPair, KeyPair};
 use rustls_pki_types::pem::PemObject;
 use rustls_pki_types::{CertificateDer, PrivatePkcs8KeyDer};
-use serde::{Deserialize, Serialize};
 
 use crate::certificate::{Certificate, CertificateFault};
 use crate::error::IdentityError;
@@ -14,8 +13,7 @@ use crate::roster::Roster;
 use crate::seal::{Seal, Statement};
 
 /// Where a member's files are; `flockeye keys issue` writes them.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[derive(Debug, Clone, PartialEq, Eq)]
 pub struct MemberFiles {
     /// The certificate of the swarm's authority, PEM.
     pub ca: PathBuf,
@@ -40,11 +38,12 @@ pub struct Member {
 }
 
 impl Member {
-    /// Reads the files, and checks that they belong together and hold at `now_s`, seconds since 1970-01-01 UTC.
+    /// Reads the files, and checks that they belong together and hold at `now_s`, seconds since
+    /// 1970-01-01 UTC.
     ///
     /// # Errors
-    /// Which file is missing or wrong, is not signed by the authority, has expired or is revoked, or can be read by
-    /// others.
+    /// Which file is missing or wrong, is not signed by the authority, has expired or is revoked,
+    /// or can be read by others.
     pub fn load(files: &MemberFiles, now_s: i64) -> Result<Self, IdentityError> {
         let authority = certificate(&files.ca)?;
         let certificate = certificate(&files.certificate)?;

@@ -29,7 +29,6 @@ pub struct Roster {
     pub revoked: Vec<String>,
 }
 
-/// The file.
 #[derive(Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Signed {
@@ -49,7 +48,6 @@ impl Roster {
         self.revoked.iter().any(|revoked| revoked == serial)
     }
 
-    /// What is signed.
     fn message(&self) -> Result<Vec<u8>, serde_json::Error> {
         Ok([CONTEXT, &serde_json::to_vec(self)?].concat())
     }

@@ -9,8 +9,9 @@
 
 use ring::rand::{SecureRandom, SystemRandom};
 
-/// Random bytes that whoever asks for the last values sends along, and that the answer's signature covers: so no
-/// old answer is one to this question. All zero in what is published without a question.
+/// Random bytes that whoever asks for the last values sends along, and that the answer's signature
+/// covers: so no old answer is one to this question. All zero in what is published without a
+/// question.
 pub type Challenge = [u8; 16];
 
 /// What the signature begins with, so that it is a signature of nothing else.
@@ -31,7 +32,8 @@ pub struct Statement<'s> {
 }
 
 impl Statement<'_> {
-    /// The signed bytes: a fixed beginning, the key's length and the key, the challenge, the payload.
+    /// The signed bytes: a fixed beginning, the key's length and the key, the challenge, the
+    /// payload.
     pub(crate) fn message(&self) -> Vec<u8> {
         let key_bytes = (self.key.len() as u32).to_be_bytes();
         [CONTEXT, &key_bytes, self.key.as_bytes(), &self.challenge, self.payload].concat()

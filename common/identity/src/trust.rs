@@ -7,7 +7,8 @@ use crate::certificate::{Certificate, CertificateFault};
 use crate::member::Member;
 use crate::seal::{Seal, Statement};
 
-/// Certificates that are kept. The authority has signed them all, so only a large swarm that renews often has more.
+/// Certificates that are kept. The authority has signed them all, so only a large swarm that renews
+/// often has more.
 const MOST_KNOWN: usize = 1_024;
 
 /// Checks signatures, and remembers the certificates that came with them.
@@ -30,24 +31,16 @@ pub enum Untrusted {
     #[error("its certificate does not count: {0}")]
     Certificate(#[from] CertificateFault),
     /// Its certificate is revoked.
-    #[error("the certificate of '{name}' is revoked")]
-    Revoked {
-        /// Whose.
-        name: String,
-    },
+    #[error("the certificate of '{0}' is revoked")]
+    Revoked(String),
     /// Its signer is not on the roster.
-    #[error("'{name}' is not on the swarm's roster")]
-    NotAMember {
-        /// Who.
-        name: String,
-    },
+    #[error("'{0}' is not on the swarm's roster")]
+    NotAMember(String),
     /// Somebody else has signed it.
-    #[error("it is signed by '{name}'")]
-    Another {
-        /// By whom.
-        name: String,
-    },
-    /// The signature does not match: it was changed, or said under another key or to another question.
+    #[error("it is signed by '{0}'")]
+    Another(String),
+    /// The signature does not match: it was changed, or said under another key or to another
+    /// question.
     #[error("its signature does not match what it says, or where, or to which question")]
     Signature,
 }
@@ -79,17 +72,17 @@ impl Trust {
         let name = || certificate.name.clone();
         certificate.check_time(now_s)?;
         if self.member.roster.is_revoked(&certificate.serial) {
-            return Err(Untrusted::Revoked { name: name() });
+            return Err(Untrusted::Revoked(name()));
         }
         if !self.member.roster.has(&certificate.name) {
-            return Err(Untrusted::NotAMember { name: name() });
+            return Err(Untrusted::NotAMember(name()));
         }
         if !certificate.has_signed(&said.message(), seal.signature) {
             return Err(Untrusted::Signature);
         }
         // Last, so that nobody is named who has not signed.
         if certificate.name != observer {
-            return Err(Untrusted::Another { name: name() });
+            return Err(Untrusted::Another(name()));
         }
         Ok(())
     }

@@ -6,10 +6,10 @@ use criterion::{Criterion, criterion_group, criterion_main};
 use flockeye_geometry::camera::{Camera, SpherePixel};
 use flockeye_geometry::mask::Mask;
 use flockeye_imaging::gyroscope::Gyroscope;
-use flockeye_imaging::gyroscope::grid::Sampler;
-use flockeye_imaging::gyroscope::own_airframe::OwnAirframe;
-use flockeye_imaging::gyroscope::points::Points;
-use flockeye_imaging::gyroscope::solve::{Start, rotation};
+use flockeye_imaging::gyroscope::grid::{CELLS, Sampler};
+use flockeye_imaging::gyroscope::own_airframe::AirframeCell;
+use flockeye_imaging::gyroscope::points::points_of;
+use flockeye_imaging::gyroscope::solve::rotation;
 use flockeye_imaging::sphere::SphereImage;
 use nalgebra::{UnitQuaternion, Vector3};
 
@@ -42,27 +42,25 @@ fn each_frame(criterion: &mut Criterion) {
     let images =
         pixels.each_ref().map(|pixels| SphereImage::new(pixels, WIDTH as usize, camera).unwrap());
     let pyramids = images.each_ref().map(|image| sampler.pyramid(image));
-    let points: Vec<Points> =
-        pyramids[0].levels().iter().map(|level| Points::of(level, &sampler)).collect();
-    let airframe = OwnAirframe::default();
+    let points: Vec<_> = pyramids[0].iter().map(|level| points_of(level, &sampler)).collect();
+    let airframe = vec![AirframeCell::default(); CELLS];
 
     let mut group = criterion.benchmark_group("visual gyroscope");
     group.bench_function("average", |bencher| bencher.iter(|| sampler.pyramid(&images[0])));
     group.bench_function("points", |bencher| {
         bencher.iter(|| {
-            let levels = pyramids[0].levels().iter();
-            levels.map(|level| Points::of(level, &sampler).all.len()).sum::<usize>()
+            pyramids[0].iter().map(|level| points_of(level, &sampler).len()).sum::<usize>()
         });
     });
     let nearly = UnitQuaternion::from_euler_angles(0.002, 0.001, -0.002) * turn;
-    let expecting = Start { expected: Some(nearly), last: UnitQuaternion::identity() };
-    let not = Start { expected: None, last: nearly };
-    let name = format!("rotation of {} points", points[0].all.len());
+    let run =
+        |expected, last| rotation(&points, &pyramids[1], expected, last, &airframe).expect("found");
+    let name = format!("rotation of {} points", points[0].len());
     group.bench_function(name, |bencher| {
-        bencher.iter(|| rotation(&points, &pyramids[1], &expecting, &airframe).expect("found"));
+        bencher.iter(|| run(Some(nearly), UnitQuaternion::identity()));
     });
     group.bench_function("rotation that nothing expects", |bencher| {
-        bencher.iter(|| rotation(&points, &pyramids[1], &not, &airframe).expect("found"));
+        bencher.iter(|| run(None, nearly));
     });
     // Forth and back, as expected within a fraction of a degree.
     let expected = [nearly.inverse(), nearly];

@@ -3,10 +3,10 @@
 use std::f64::consts::FRAC_1_SQRT_2;
 use std::sync::LazyLock;
 
-/// The Gaussian is truncated at this many standard deviations. The density is lowered by its value there, and
-/// scaled so that the distribution goes from 0 to 1. So neither function has a step.
+/// The Gaussian is truncated at this many standard deviations. The density is lowered by its value
+/// there, and scaled so that the distribution goes from 0 to 1. So neither function has a step.
 pub(crate) const REACH: f32 = 3.6;
-/// Steps of the table for each standard deviation. Linear interpolation between them is exact to 1e-5.
+/// Steps of the table for each deviation: linear interpolation is exact to 1e-5.
 const STEPS: f32 = 128.0;
 const HALF: usize = (REACH * STEPS) as usize + 2;
 
@@ -48,8 +48,8 @@ impl Gaussian {
     }
 }
 
-/// Density and distribution function of the unit Gaussian at `a`, exact to 1e-7 (Abramowitz and Stegun, 7.1.26,
-/// which uses the density's exponential).
+/// Density and distribution function of the unit Gaussian at `a`, exact to 1e-7 (Abramowitz and
+/// Stegun, 7.1.26, which uses the density's exponential).
 pub(crate) fn density_and_distribution(a: f64) -> (f64, f64) {
     let exponential = (-0.5 * a * a).exp();
     let t = 1.0 / (1.0 + 0.327_591_1 * a.abs() * FRAC_1_SQRT_2);

@@ -3,44 +3,23 @@
 use thiserror::Error;
 
 /// Why bytes were refused as an image.
+#[allow(missing_docs, reason = "the messages say what each is")]
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Error)]
 pub enum ImageError {
-    /// There are no pixels.
     #[error("an image of {width}x{height} has no pixel")]
-    Empty {
-        /// Pixels in a row.
-        width: usize,
-        /// Rows.
-        height: usize,
-    },
-    /// Rows would overlap.
+    Empty { width: usize, height: usize },
     #[error(
         "rows of {width} pixels lie {stride} bytes apart; the stride must be at least the width"
     )]
-    Stride {
-        /// Pixels in a row.
-        width: usize,
-        /// Bytes from one row to the next.
-        stride: usize,
-    },
-    /// The last row would end outside the memory.
+    Stride { width: usize, stride: usize },
     #[error("{height} rows, {stride} bytes apart, need {needed} bytes; there are {found}")]
-    TooShort {
-        /// Rows.
-        height: usize,
-        /// Bytes from one row to the next.
-        stride: usize,
-        /// Bytes that such an image needs at least.
-        needed: usize,
-        /// Bytes that there are.
-        found: usize,
-    },
+    TooShort { height: usize, stride: usize, needed: usize, found: usize },
 }
 
 /// An 8-bit luma image in borrowed memory, for example a view in shared memory.
 ///
-/// It has `height` rows of `width` bytes, `stride` bytes apart. [`LumaImage::new`] has checked that they lie
-/// inside `pixels`.
+/// It has `height` rows of `width` bytes, `stride` bytes apart. [`LumaImage::new`] has checked that
+/// they lie inside `pixels`.
 #[derive(Debug, Clone, Copy)]
 pub struct LumaImage<'a> {
     pixels: &'a [u8],
@@ -50,11 +29,8 @@ pub struct LumaImage<'a> {
 }
 
 impl<'a> LumaImage<'a> {
-    /// Borrows `height` rows of `width` pixels that begin `stride` bytes apart. The memory may end with the last
-    /// pixel of the last row.
-    ///
-    /// # Errors
-    /// An image without pixels, rows that overlap, or memory that is too short.
+    /// Borrows `height` rows of `width` pixels that begin `stride` bytes apart. The memory may end
+    /// with the last pixel of the last row.
     pub fn new(
         pixels: &'a [u8],
         width: usize,
@@ -96,10 +72,7 @@ impl<'a> LumaImage<'a> {
         self.pixels
     }
 
-    /// Row `y`, counted from the top.
-    ///
-    /// # Panics
-    /// If there is no such row, as for a slice.
+    /// Row `y`, counted from the top. Panics if there is no such row, as for a slice.
     #[inline]
     pub fn row(&self, y: usize) -> &'a [u8] {
         &self.pixels[y * self.stride..][..self.width]

@@ -14,7 +14,7 @@
 //!
 //! ```
 //! use flockeye_geometry::view::ViewPixel;
-//! use flockeye_imaging::edges::{Effort, Grain, Lighting, MarkerPrint, refine_corners};
+//! use flockeye_imaging::edges::{CornerFit, Grain, Lighting, MarkerPrint, refine_corners};
 //! use flockeye_imaging::image::LumaImage;
 //! use flockeye_imaging::light::{CodeRange, LinearLight, TransferCurve};
 //!
@@ -28,7 +28,7 @@
 //! let guess = [(20.6, 20.4), (38.8, 20.2), (38.9, 39.0), (20.3, 38.7)];
 //! let guess = guess.map(|(x, y)| ViewPixel::new(x, y));
 //! let print = MarkerPrint::of_bits(&[false; 25]).expect("five by five");
-//! let found = refine_corners(&image, &light, &guess, &print, Grain::Pixels, Lighting::Even, Effort::WholePrint).expect("a square");
+//! let found = refine_corners(&image, &light, &guess, &print, Grain::Pixels, Lighting::Even, CornerFit::WholePrint).expect("a square");
 //! assert!((found.corners_in_view[0].0.x - 19.5).abs() < 0.1);
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```

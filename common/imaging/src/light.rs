@@ -1,8 +1,8 @@
 //! From code values back to radiance (linear light).
 //!
-//! A lens blurs an edge, then the camera encodes it. That moves the edge towards the dark side, because the
-//! curve lifts dark values more than bright ones: by some tenths of a pixel on a 20 px marker. So everything that
-//! measures edges works on linear values.
+//! A lens blurs an edge, then the camera encodes it. That moves the edge towards the dark side,
+//! because the curve lifts dark values more than bright ones: by some tenths of a pixel on a 20 px
+//! marker. So everything that measures edges works on linear values.
 
 use flockeye_geometry::view::ViewPixel;
 use thiserror::Error;
@@ -30,26 +30,15 @@ pub enum CodeRange {
 }
 
 /// Why a curve cannot be inverted.
+#[allow(missing_docs, reason = "the messages say what each is")]
 #[derive(Debug, Clone, Copy, PartialEq, Error)]
 pub enum LightError {
-    /// The exponent is one that no camera has.
     #[error("a gamma of {gamma} cannot be undone; 0.1 to 10 can")]
-    Gamma {
-        /// The exponent given.
-        gamma: f32,
-    },
-    /// A larger code value must not stand for less radiance.
+    Gamma { gamma: f32 },
     #[error(
         "code {code} stands for {light}, the code before it for {before}; light must not fall, and be finite"
     )]
-    Table {
-        /// The code value where the table is wrong.
-        code: u8,
-        /// The radiance of that code value.
-        light: f32,
-        /// The radiance of the code value before.
-        before: f32,
-    },
+    Table { code: u8, light: f32, before: f32 },
 }
 
 /// The radiance that each code value stands for: black is 0, nominal white is 1.
@@ -59,8 +48,8 @@ pub struct LinearLight {
 }
 
 impl LinearLight {
-    /// The table that inverts `curve`. Code values beyond nominal black and white continue the curve, below black
-    /// with a negative sign, so that noise around black keeps its mean.
+    /// The table that inverts `curve`. Code values beyond nominal black and white continue the
+    /// curve, below black with a negative sign, so that noise around black keeps its mean.
     ///
     /// # Errors
     /// A gamma outside 0.1 to 10.
@@ -102,14 +91,14 @@ impl LinearLight {
         self.table[usize::from(code)]
     }
 
-    /// The radiance that a code between whole ones stands for, interpolated. Codes beyond 0 and 255 continue the curve there.
+    /// The radiance of a code between whole ones. Codes beyond 0 and 255 continue the curve.
     pub fn between(&self, code: f64) -> f64 {
         let below = code.clamp(0.0, 254.0) as usize;
         let (here, next) = (f64::from(self.table[below]), f64::from(self.table[below + 1]));
         here + (next - here) * (code - below as f64)
     }
 
-    /// The code that stands for a radiance, between whole codes too. Beyond the curve's ends it is 0 or 255.
+    /// The code of a radiance, between whole codes too; 0 or 255 beyond the curve's ends.
     pub fn code_of(&self, radiance: f64) -> f64 {
         let above = self.table.partition_point(|&of| f64::from(of) < radiance).clamp(1, 255);
         let (below, at) = (f64::from(self.table[above - 1]), f64::from(self.table[above]));
@@ -124,8 +113,8 @@ impl LinearLight {
 
     /// Curvature -L c''/c' of code values c over radiance L, in the middle of the range.
     ///
-    /// It is 1 - 1/g where code values are the g-th root of radiance, and 0 where they are proportional to it.
-    /// Where code values are smoothed, it determines how far edges move.
+    /// It is 1 - 1/g where code values are the g-th root of radiance, and 0 where they are
+    /// proportional to it. Where code values are smoothed, it determines how far edges move.
     pub fn bend(&self) -> f64 {
         let [dark, middle, light] = [68, 128, 188].map(|code: u8| f64::from(self.of(code)));
         let (step, slope) = (60.0, (light - dark) / 120.0);
@@ -134,8 +123,8 @@ impl LinearLight {
         if slope > 0.0 { middle * curvature / (slope * slope) } else { 0.0 }
     }
 
-    /// The radiance at a point between pixels, interpolated bilinearly between linear values. `None` where one of
-    /// the four pixels around it is outside the image.
+    /// The radiance at a point between pixels, interpolated bilinearly between linear values.
+    /// `None` where one of the four pixels around it is outside the image.
     // Called for hundreds of points of each square.
     #[inline(always)]
     pub fn at(&self, image: &LumaImage<'_>, at: ViewPixel) -> Option<f32> {

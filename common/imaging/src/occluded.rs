@@ -1,6 +1,7 @@
-//! Which pixels show something else than what is fitted to them: an arm, a propeller, a finger before a marker.
+//! Which pixels show something else than what is fitted to them: an arm, a propeller, a finger
+//! before a marker.
 //!
-//! What occludes has a soft edge. It is no outlier by itself and moves every edge next to it, so it is left out too.
+//! An occluder's soft edge is no outlier and moves every edge next to it: it is left out too.
 
 /// A pixel is occluded if its residual exceeds both this many standard deviations of the noise and
 /// [`MIN_RESIDUAL_SHARE`]. Edges of a fit that has not converged yet have smaller residuals.
@@ -10,13 +11,13 @@ const MIN_RESIDUAL_SHARE: f64 = 0.12;
 /// Pixels this near to an occluded one are left out too, standard deviations of the point spread.
 const REACH_BLURS: f64 = 2.5;
 
-/// The residual, absolute, above which a pixel is occluded. `noise` is the standard deviation of the others', `white` the
-/// radiance of white, both in the residual's unit.
+/// The residual, absolute, above which a pixel is occluded. `noise` is the standard deviation of
+/// the others', `white` the radiance of white, both in the residual's unit.
 pub(crate) fn least_residual(noise: f64, white: f64) -> f64 {
     (MIN_RESIDUAL_SIGMAS * noise).max(MIN_RESIDUAL_SHARE * white)
 }
 
-/// How far round an occluded pixel others are left out, pixels. `blur_px` is the point spread's standard deviation.
+/// How far round an occluded pixel others are left out, pixels, by the standard deviation of blur.
 pub(crate) fn reach_px(blur_px: f64) -> f64 {
     (REACH_BLURS * blur_px).ceil()
 }

@@ -1,17 +1,18 @@
 //! The curve from light to code values, from pictures of one scene at several exposures.
 //!
-//! A place of the scene that has code z in a picture exposed for t seconds has the radiance f(z)/t, where f gives the light
-//! of a code. Its logarithm g = ln f is found for all codes at once, by least squares over many places:
+//! A place of the scene that has code z in a picture exposed for t seconds has the radiance f(z)/t,
+//! where f gives the light of a code. Its logarithm g = ln f is found for all codes at once, by
+//! least squares over many places:
 //!
 //! ```text
 //! g(z of place p in picture k) = ln E_p + ln t_k
 //! ```
 //!
-//! The radiances E_p are eliminated. Between the codes that were seen, and beyond them, the curve goes on like a power of the
-//! code: z^2 g''(z), which is constant for a power, changes slowly.
+//! The radiances E_p are eliminated. Between the codes that were seen, and beyond them, the curve
+//! goes on like a power of the code: z^2 g''(z), which is constant for a power, changes slowly.
 //!
-//! Source: P. Debevec and J. Malik, Recovering high dynamic range radiance maps from photographs (1997), with the penalty
-//! above in place of that on g''.
+//! Source: P. Debevec and J. Malik, Recovering high dynamic range radiance maps from photographs
+//! (1997), with the penalty above in place of that on g''.
 
 use nalgebra::{DMatrix, DVector};
 use thiserror::Error;
@@ -28,7 +29,7 @@ pub const MIN_PLACES: usize = 200;
 
 /// Codes outside these may be clipped.
 const CODES: std::ops::RangeInclusive<u8> = 3..=251;
-/// A place is even if its nine pixels differ by this at most, code values, in the picture that shows it best.
+/// A place is even if its nine pixels differ by this at most, code values, where seen best.
 const EVEN_CODES: u8 = 12;
 /// Even places with codes in one of so many ranges, and how many of each are taken.
 const RANGES: usize = 64;
@@ -56,66 +57,36 @@ pub struct Exposure<'a> {
 }
 
 /// Why a series of pictures does not tell the curve.
+#[allow(missing_docs, reason = "the messages say what each is")]
 #[derive(Debug, Clone, PartialEq, Error)]
 pub enum ResponseError {
-    /// Too few pictures.
     #[error(
         "{given} pictures; {MIN_PICTURES} or more are needed, of one scene at different exposures"
     )]
-    Pictures {
-        /// How many there were.
-        given: usize,
-    },
-    /// An exposure that is no time.
+    Pictures { given: usize },
     #[error("picture {index} was exposed for {seconds} s; it must be above 0")]
-    Seconds {
-        /// Which picture, from 0.
-        index: usize,
-        /// What was given.
-        seconds: f64,
-    },
-    /// Pictures of different sizes.
+    Seconds { index: usize, seconds: f64 },
     #[error(
         "picture {index} has {given:?} px, the first one {first:?}. Give pictures of one camera, all of one size"
     )]
-    Size {
-        /// Which picture, from 0.
-        index: usize,
-        /// Its width and height.
-        given: (usize, usize),
-        /// Size of the first picture, pixels.
-        first: (usize, usize),
-    },
-    /// Exposures that hardly differ.
+    Size { index: usize, given: (usize, usize), first: (usize, usize) },
     #[error(
         "the longest exposure is {ratio:.2} times the shortest; {MIN_RANGE} times or more are needed"
     )]
-    Range {
-        /// Longest over shortest.
-        ratio: f64,
-    },
-    /// Too little of the scene is even, or it moved.
+    Range { ratio: f64 },
     #[error(
         "{found} even places of different greys are neither black nor white in two pictures; {MIN_PLACES} are needed. Photograph \
          something with even areas of many greys, from a tripod"
     )]
-    Places {
-        /// How many were found.
-        found: usize,
-    },
-    /// The places do not tie the curve together.
+    Places { found: usize },
     #[error(
         "the pictures do not determine the curve. Photograph more greys, at exposures that are nearer to each other"
     )]
     Undetermined,
-    /// More light gives lower codes: the exposures are wrong, or the camera changed them.
     #[error(
         "code {code} stands for less light than the one before it. Were the exposures as given, with everything automatic off?"
     )]
-    Falling {
-        /// The code.
-        code: u8,
-    },
+    Falling { code: u8 },
 }
 
 /// A measured curve.
@@ -131,18 +102,15 @@ pub struct FittedResponse {
     pub residual: f64,
     /// Places that were used.
     pub places: usize,
-    /// How far edges seem off by this curve because of noise, pixels, from the curves of either half of the places. `None`
-    /// where a half alone does not tell the curve.
+    /// How far edges seem off by this curve because of noise, pixels, from the curves of either
+    /// half of the places. `None` where a half alone does not tell the curve.
     pub edge_shift_px: Option<f64>,
 }
 
-/// Codes of a place in the pictures where it is neither black nor white, with the logarithm of their exposures.
+/// Codes of a place that are neither black nor white, with the logarithms of their exposures.
 type Place = Vec<(f64, f64)>;
 
 /// Finds the curve of the camera that took these pictures of one scene, from a tripod.
-///
-/// # Errors
-/// [`ResponseError`], with what to do.
 pub fn fit_response(series: &[Exposure<'_>]) -> Result<FittedResponse, ResponseError> {
     let places = places(series)?;
     let fitted = fit_places(&places)?;
@@ -157,8 +125,8 @@ pub fn fit_response(series: &[Exposure<'_>]) -> Result<FittedResponse, ResponseE
     Ok(FittedResponse { edge_shift_px: half(0).zip(half(1)).map(apart_px), ..fitted })
 }
 
-/// How far an edge between print and paper seems to lie from where it is, pixels, if light is taken for `assumed` and is
-/// `actual`. Positive: white seems wider. The edge is blurred by a lens, by 0.9 px.
+/// How far an edge between print and paper, blurred by 0.9 px, seems off if light is taken for
+/// `assumed` and is `actual`, pixels. Positive: white seems wider.
 pub fn edge_shift_px(assumed: &LinearLight, actual: &LinearLight) -> f64 {
     const BLUR_PX: f64 = 0.9;
     const STEP_PX: f64 = 0.02;
@@ -374,7 +342,8 @@ mod tests {
     use super::*;
     use crate::light::{CodeRange, TransferCurve};
 
-    /// A scene of even greys in patches of 12 px, at several exposures, as a camera with this curve sees it.
+    /// A scene of even greys in patches of 12 px, at several exposures, as a camera with this curve
+    /// sees it.
     fn series(actual: &LinearLight, noise: f64) -> Vec<(Vec<u8>, f64)> {
         let mut state = 88172645463325252u64;
         let mut dice = || {
@@ -441,7 +410,8 @@ mod tests {
         let (srgb, linear) = (curve(TransferCurve::Srgb), curve(TransferCurve::Linear));
         let shift_px = edge_shift_px(&srgb, &srgb);
         assert!(shift_px.abs() < 0.001, "{shift_px}");
-        // Codes of a camera with a root curve, taken for light, lift what is dark: white seems wider.
+        // Codes of a camera with a root curve, taken for light, lift what is dark: white seems
+        // wider.
         assert!(edge_shift_px(&linear, &srgb) > 0.2);
         assert!(edge_shift_px(&srgb, &linear) < -0.2);
     }

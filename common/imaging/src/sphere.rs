@@ -1,14 +1,15 @@
 //! Cuts views from the image of a spherical camera: square gnomonic images.
 //!
-//! A view is divided into tiles. The mapping from its pixels to the sphere image is evaluated exactly at nine
-//! points of a tile and interpolated quadratically between them, in integers of 1/65536 px. The error is at most
-//! [`MAX_MAPPING_ERROR_PX`]. Where that is not possible, a tile is split, down to single pixels: next to a pole,
-//! where the columns converge, and along the border between two lenses. Nothing is precomputed for a view, so one
-//! that moves with each frame costs the same as one that does not.
+//! A view is divided into tiles. The mapping from its pixels to the sphere image is evaluated
+//! exactly at nine points of a tile and interpolated quadratically between them, in integers of
+//! 1/65536 px. The error is at most [`MAX_MAPPING_ERROR_PX`]. Where that is not possible, a tile is
+//! split, down to single pixels: next to a pole, where the columns converge, and along the border
+//! between two lenses. Nothing is precomputed for a view, so one that moves with each frame costs
+//! the same as one that does not.
 //!
-//! Pixels are interpolated bilinearly or by a cubic. In an equirectangular image the first and the last column are
-//! neighbours. Beyond the first and the last row lies the same row, half a turn further. What the camera does not
-//! see is black.
+//! Pixels are interpolated bilinearly or by a cubic. In an equirectangular image the first and the
+//! last column are neighbours. Beyond the first and the last row lies the same row, half a turn
+//! further. What the camera does not see is black.
 //!
 //! ```
 //! use flockeye_geometry::{camera::Camera, view::View};
@@ -24,7 +25,7 @@
 //! ```
 
 #[cfg(test)]
-mod accuracy;
+mod accuracy_tests;
 mod angle;
 mod any_camera;
 #[cfg(target_arch = "x86_64")]
@@ -41,7 +42,6 @@ mod image;
 mod mapping;
 mod patch;
 mod sample;
-mod target;
 
 pub use cut_request::{Cut, Interpolation, MAGNIFIED};
 pub use error::{MAX_SIDE_PX, SphereError};
@@ -55,8 +55,8 @@ pub fn instructions() -> &'static str {
 
 /// Cuts one view into `out`, with rows `out_stride` bytes apart, on the calling thread.
 ///
-/// The result is within 2 grey levels, and 0.5 on average, of exact sampling, for a picture as sharp as a camera's
-/// (blurred by 0.8 px).
+/// The result is within 2 grey levels, and 0.5 on average, of exact sampling, for a picture as
+/// sharp as a camera's (blurred by 0.8 px).
 ///
 /// # Errors
 /// A view that shows nothing, overlapping rows, or an `out` that is too short for the view.
@@ -71,11 +71,11 @@ pub fn rectify_into(
     Ok(())
 }
 
-/// Cuts several views into `outputs`, with rows as far apart as a view is wide, on up to `threads` threads. The
-/// bytes do not depend on the number of threads.
+/// Cuts several views into `outputs`, with rows as far apart as a view is wide, on up to `threads`
+/// threads. The bytes do not depend on the number of threads.
 ///
 /// # Errors
-/// As [`rectify_into`], or if the number of outputs is not that of the views. Then nothing is written.
+/// As [`rectify_into`], or if there are not as many outputs. Then nothing is written.
 pub fn rectify_all(
     sphere: &SphereImage<'_>,
     cuts: &[Cut],
@@ -88,9 +88,6 @@ pub fn rectify_all(
 }
 
 /// Refuses views that cannot be cut into `outputs`, with rows as far apart as a view is wide.
-///
-/// # Errors
-/// As [`rectify_all`].
 pub fn check_outputs(cuts: &[Cut], outputs: &[&mut [u8]]) -> Result<(), SphereError> {
     if cuts.len() != outputs.len() {
         return Err(SphereError::Outputs { views: cuts.len(), outputs: outputs.len() });

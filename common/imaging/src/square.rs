@@ -7,14 +7,15 @@ use nalgebra::{Matrix3, Vector2};
 /// (1, 0) the top right, (1, 1) the bottom right.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SquareInView {
-    view_from_square: Matrix3<f64>,
+    /// The homography from the square to the view.
+    pub(crate) view_from_square: Matrix3<f64>,
     square_from_view: Matrix3<f64>,
 }
 
 impl SquareInView {
-    /// The map from the unit square's corners to `corners_in_view`, in ArUco's order (clockwise from the top
-    /// left). `None` unless these are a convex quadrilateral, clockwise in the image, as that of a marker seen from
-    /// its front.
+    /// The map from the unit square's corners to `corners_in_view`, in ArUco's order (clockwise
+    /// from the top left). `None` unless these are a convex quadrilateral, clockwise in the image,
+    /// as that of a marker seen from its front.
     ///
     /// Source: P. Heckbert, Fundamentals of Texture Mapping and Image Warping (1989), 2.2.3.
     pub fn new(corners_in_view: &[ViewPixel; 4]) -> Option<Self> {
@@ -37,11 +38,6 @@ impl SquareInView {
             Matrix3::new(x_axis.x, y_axis.x, p0.x, x_axis.y, y_axis.y, p0.y, g, h, 1.0);
         let square_from_view = view_from_square.try_inverse()?;
         Some(Self { view_from_square, square_from_view })
-    }
-
-    /// The homography from the square to the view.
-    pub(crate) fn view_from_square(&self) -> &Matrix3<f64> {
-        &self.view_from_square
     }
 
     /// The pixel of the point (`u`, `v`) of the square's plane.

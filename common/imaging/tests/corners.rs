@@ -8,7 +8,7 @@ use drawn::{Dice, Scene, Stripes, encode};
 use flockeye_geometry::camera::{Camera, Equirectangular, SpherePixel};
 use flockeye_geometry::view::{View, ViewPixel};
 use flockeye_imaging::edges::{
-    Effort, Grain, Lighting, MarkerPrint, RefinedCorners, refine_corners,
+    CornerFit, Grain, Lighting, MarkerPrint, RefinedCorners, refine_corners,
 };
 use flockeye_imaging::image::LumaImage;
 use flockeye_imaging::light::{CodeRange, LinearLight, TransferCurve};
@@ -81,7 +81,7 @@ impl Shot {
     ) -> Option<RefinedCorners> {
         let image = LumaImage::new(&self.pixels, self.size, self.size, self.size).unwrap();
         let light = LinearLight::new(self.curve, CodeRange::Full).unwrap();
-        refine_corners(&image, &light, guess, print, self.grain, lighting, Effort::WholePrint)
+        refine_corners(&image, &light, guess, print, self.grain, lighting, CornerFit::WholePrint)
     }
 
     fn middle(&self) -> Vector2<f64> {
@@ -101,8 +101,8 @@ impl Shot {
 /// The image of a camera of 3840 x 1920.
 const PANORAMA: Equirectangular = Equirectangular { width: 3840, height: 1920 };
 
-/// Sums over many markers: shots and refined ones, radial errors (positive outwards), squared errors along an axis, and
-/// stated variances.
+/// Sums over many markers: shots and refined ones, radial errors (positive outwards), squared
+/// errors along an axis, and stated variances.
 #[derive(Default, Clone, Copy)]
 struct Outcome {
     shots: usize,
@@ -295,7 +295,7 @@ fn images_without_a_marker_are_refused() {
     let print = MarkerPrint::of_bits(&[true; 25]).unwrap();
     let assert_refused = |image: &LumaImage<'_>, guess: &[ViewPixel; 4]| {
         for lighting in [Lighting::Even, Lighting::Uneven] {
-            let effort = Effort::WholePrint;
+            let effort = CornerFit::WholePrint;
             let found =
                 refine_corners(image, &light, guess, &print, Grain::Pixels, lighting, effort);
             assert_eq!(found, None, "{lighting:?}, {guess:?}");

@@ -1,7 +1,8 @@
 //! Rules of Zenoh's access control: which certificate may do what on a link.
 //!
-//! Zenoh asks which certificate the other end of the *link* has shown, and not who began to say something. So every
-//! gateway and every router has these rules. Their names are literal, and they hold until the session ends.
+//! Zenoh asks which certificate the other end of the *link* has shown, and not who began to say
+//! something. So every gateway and every router has these rules. Their names are literal, and they
+//! hold until the session ends.
 
 use flockeye_contract::wire::{all_frames_key, all_keys};
 use flockeye_identity::Roster;
@@ -17,10 +18,11 @@ const REPORT: &[&str] = &["put", "reply"];
 
 /// The rules of a swarm. What nothing allows is denied.
 ///
-/// A member says what stands under its own name, and asks for all. Routers pass on all. Reports are let in whatever
-/// name they bear, and judged by their signatures ([`flockeye_identity::Trust`]): so whoever speaks in another's name
-/// is known and counted, where Zenoh would drop it without a word. A gateway lets them in from everybody who could
-/// link; a router (`is_router`), which reads no signatures, from members alone.
+/// A member says what stands under its own name, and asks for all. Routers pass on all. Reports are
+/// let in whatever name they bear, and judged by their signatures ([`flockeye_identity::Trust`]):
+/// so whoever speaks in another's name is known and counted, where Zenoh would drop it without a
+/// word. A gateway lets them in from everybody who could link; a router (`is_router`), which reads
+/// no signatures, from members alone.
 pub(crate) fn access_rules(roster: &Roster, is_router: bool) -> Value {
     let Roster { swarm, members, routers, .. } = roster;
     let all = all_keys(swarm, None);

@@ -1,20 +1,22 @@
 //! How a peer's clock differs from this machine's, from the reports themselves.
 //!
-//! A report says when it was sent by its sender's clock, so each gives the time on the air plus the difference
-//! of the clocks. The least of many is the difference plus the shortest way. The peer says the same of ours
-//! (`clocks` in its report): half the difference of the two is the clocks' difference, if the shortest ways there
-//! and back are equally long, as in NTP (Mills, RFC 5905, section 8).
+//! A report says when it was sent by its sender's clock, so each gives the time on the air plus the
+//! difference of the clocks. The least of many is the difference plus the shortest way. The peer
+//! says the same of ours (`clocks` in its report): half the difference of the two is the clocks'
+//! difference, if the shortest ways there and back are equally long, as in NTP (Mills, RFC 5905,
+//! section 8).
 
 use flockeye_contract::wire::ClockOffset;
 
-/// The least is taken over this time and the same time before, nanoseconds: clocks that drift apart by 50 ppm
-/// move by a millisecond in it.
+/// The least is taken over this time and the same time before, nanoseconds: clocks that drift apart
+/// by 50 ppm move by a millisecond in it.
 const WINDOW_NS: i64 = 20_000_000_000;
 /// Share of a new value in the mean delay above the least.
 const MEAN_SHARE: f64 = 0.05;
 /// Minimum deviation of an estimate, nanoseconds: waking a thread takes as long.
 const LEAST_DEVIATION_NS: f64 = 50_000.0;
-/// Without the peer's word the shortest way is unknown; on one radio it is about this long, nanoseconds.
+/// Without the peer's word the shortest way is unknown; on one radio it is about this long,
+/// nanoseconds.
 const ONE_WAY_GUESS_NS: f64 = 1_000_000.0;
 /// A longer way there and back is not believed, nanoseconds.
 const LONGEST_ROUND_NS: i64 = 1_000_000_000;
@@ -26,7 +28,8 @@ pub struct OneWay {
     least: [Option<i64>; 2],
     window_began_ns: i64,
     mean_above: f64,
-    /// What the peer says of ours: the least of arrival by its clock less sending by ours, both UTC.
+    /// What the peer says of ours: the least of arrival by its clock less sending by ours, both
+    /// UTC.
     back: Option<i64>,
 }
 
@@ -77,13 +80,13 @@ impl OneWay {
         }
     }
 
-    /// The estimate, where our own UTC is `own_utc_less_monotonic_ns` ahead of CLOCK_MONOTONIC. None before
-    /// the first report.
+    /// The estimate, where our own UTC is `own_utc_less_monotonic_ns` ahead of CLOCK_MONOTONIC.
+    /// None before the first report.
     pub fn estimate(&self, own_utc_less_monotonic_ns: i64) -> Option<ClockEstimate> {
         let one_way_ns = self.least()?.saturating_add(own_utc_less_monotonic_ns);
         let round = self.back.map(|back| (back, back.saturating_add(one_way_ns)));
-        // A way there and back that takes less than no time, or absurdly long, is no way: the peer lies, or one
-        // of the clocks was set meanwhile.
+        // A way there and back that takes less than no time, or absurdly long, is no way: the peer
+        // lies, or one of the clocks was set meanwhile.
         let round = round.filter(|(_, round)| (-1_000_000..LONGEST_ROUND_NS).contains(round));
         let (offset_ns, deviation, is_two_way) = match round {
             // The shortest way there may take any share of the round: a uniform distribution.

@@ -23,8 +23,8 @@ impl NetworkParameters {
         }
     }
 
-    /// How an onlooker, which is no drone of the swarm, joins: through this machine's own gateway, and
-    /// through the endpoints that the gateway connects to.
+    /// How an onlooker, which is no drone of the swarm, joins: through this machine's own gateway,
+    /// and through the endpoints that the gateway connects to.
     pub fn of_onlooker(pipeline: &Pipeline) -> Self {
         let gateway = &pipeline.gateway;
         let listen: &[String] =

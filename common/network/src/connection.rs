@@ -4,7 +4,7 @@ use std::{
     io,
     net::{TcpListener, UdpSocket},
     sync::{Arc, Condvar, Mutex, Weak},
-    thread,
+    thread::{self, JoinHandle},
     time::Duration,
 };
 
@@ -39,14 +39,10 @@ impl Connection {
         if parameters.mode == NetworkMode::Client {
             let weak = Arc::downgrade(&connection);
             let routers = parameters.connect.join(", ");
-            let name = "zenoh-client";
-            thread::Builder::new()
-                .name(name.into())
-                .spawn(move || look_for_router(&config, &routers, &weak))
-                .map_err(|source| NetworkError::Thread { name, source })?;
+            spawn("zenoh-client", move || look_for_router(&config, &routers, &weak))?;
         } else {
             parameters.listen.iter().try_for_each(|endpoint| probe(endpoint))?;
-            *lock(&connection.session) = Some(open(&config)?);
+            *lock(&connection.session) = Some(open_session(&config)?);
         }
         Ok(connection)
     }
@@ -73,7 +69,23 @@ impl Connection {
     }
 }
 
-fn open(config: &str) -> Result<Session, NetworkError> {
+/// Starts a thread.
+///
+/// # Errors
+/// [`NetworkError::Thread`].
+pub fn spawn(
+    name: &'static str,
+    work: impl FnOnce() + Send + 'static,
+) -> Result<JoinHandle<()>, NetworkError> {
+    let spawned = thread::Builder::new().name(name.into()).spawn(work);
+    spawned.map_err(|source| NetworkError::Thread { name, source })
+}
+
+/// Opens a session with this configuration, JSON.
+///
+/// # Errors
+/// [`NetworkError::Zenoh`].
+pub fn open_session(config: &str) -> Result<Session, NetworkError> {
     let failed =
         |what| move |error: zenoh::Error| NetworkError::Zenoh { what, reason: error.to_string() };
     let config = zenoh::Config::from_json5(config).map_err(failed("read its configuration"))?;
@@ -84,7 +96,7 @@ fn open(config: &str) -> Result<Session, NetworkError> {
 fn look_for_router(config: &str, routers: &str, connection: &Weak<Connection>) {
     let mut told = false;
     while connection.strong_count() > 0 {
-        match open(config) {
+        match open_session(config) {
             Ok(session) => {
                 if let Some(connection) = connection.upgrade() {
                     *lock(&connection.session) = Some(session);
@@ -102,8 +114,8 @@ fn look_for_router(config: &str, routers: &str, connection: &Weak<Connection>) {
     }
 }
 
-/// Tries whether `endpoint` can be listened on. Zenoh itself retries silently whatever the reason. That
-/// is right for an interface that is not up yet, and wrong for a port that is in use.
+/// Tries whether `endpoint` can be listened on. Zenoh itself retries silently whatever the reason.
+/// That is right for an interface that is not up yet, and wrong for a port that is in use.
 fn probe(endpoint: &str) -> Result<(), NetworkError> {
     let Ok(address) = listen_address(endpoint) else { return Ok(()) };
     let bound = if endpoint.starts_with("udp") {

@@ -1,9 +1,11 @@
-//! Zenoh endpoints as a user writes them: `tcp/ADDRESS:PORT` or `udp/ADDRESS:PORT`, and `tls/ADDRESS:PORT` where the
-//! session is secure.
+//! Zenoh endpoints as a user writes them: `tcp/ADDRESS:PORT` or `udp/ADDRESS:PORT`, and
+//! `tls/ADDRESS:PORT` where the session is secure.
 
 use std::net::SocketAddr;
 
 use zenoh::config::EndPoint;
+
+use crate::error::NetworkError;
 
 /// Parses what every endpoint must be.
 fn parse(endpoint: &str) -> Result<EndPoint, String> {
@@ -15,7 +17,24 @@ fn parse(endpoint: &str) -> Result<EndPoint, String> {
     Ok(parsed)
 }
 
-/// Refuses links in the clear where the session is secure, and secure ones where there are no certificates.
+/// Checks each endpoint of a list, which is the parameter `field`.
+///
+/// # Errors
+/// [`NetworkError::Parameter`] names the first that is refused, and the cure.
+pub fn check_each(
+    field: &str,
+    endpoints: &[String],
+    check: impl Fn(&str) -> Result<(), String>,
+) -> Result<(), NetworkError> {
+    endpoints.iter().enumerate().try_for_each(|(index, endpoint)| {
+        check(endpoint).map_err(|reason| {
+            NetworkError::parameter(&format!("{field}[{index}]"), endpoint, reason)
+        })
+    })
+}
+
+/// Refuses links in the clear where the session is secure, and secure ones where there are no
+/// certificates.
 ///
 /// # Errors
 /// What is wrong with it, and what would be right.

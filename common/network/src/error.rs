@@ -4,6 +4,11 @@ use flockeye_contract::wire::{MAX_TARGETS, WireError};
 use flockeye_identity::{CertificateFault, IdentityError};
 
 impl NetworkError {
+    /// A parameter that cannot work.
+    pub fn parameter(field: &str, found: &str, reason: impl Into<String>) -> Self {
+        Self::Parameter { field: field.into(), found: found.into(), reason: reason.into() }
+    }
+
     /// Whether waiting may help: the clock is not set yet, or a certificate is being renewed.
     pub fn may_pass(&self) -> bool {
         use CertificateFault::{Expired, NotYet};
@@ -78,11 +83,8 @@ pub enum NetworkError {
         own: String,
     },
     /// More targets than a listener keeps.
-    #[error("report on '{target}': already {MAX_TARGETS} targets, which is the most")]
-    TooManyTargets {
-        /// The report's target.
-        target: String,
-    },
+    #[error("report on '{0}': already {MAX_TARGETS} targets, which is the most")]
+    TooManyTargets(String),
     /// The session is over.
     #[error("the network session is closed")]
     Closed,

@@ -1,21 +1,24 @@
-//! Whether a report is of now: not held back on the way, not said before, and not of a time to come.
+//! Whether a report is of now: not held back on the way, not said before, and not of a time to
+//! come.
 
 use flockeye_runtime::clock::monotonic_ns;
 
 use crate::clock::OneWay;
+use crate::refusal::Refusal;
 use crate::utc::utc_from_monotonic;
 
 /// Reports that arrive this much later than the quickest so far are refused as stale, nanoseconds.
 const STALE_NS: i64 = 1_000_000_000;
-/// Reports that arrive this much earlier than the quickest so far are refused as from the future, nanoseconds.
+/// Reports that arrive this much earlier than the quickest so far are refused as from the future,
+/// nanoseconds.
 const FUTURE_NS: i64 = 1_000_000_000;
-/// After so long without a report that passes, the next one begins anew: the drone was restarted, or its clock
-/// was set.
+/// After so long without a report that passes, the next one begins anew: the drone was restarted,
+/// or its clock was set.
 const ANEW_AFTER_NS: i64 = 3_000_000_000;
 
-/// The time at which a report came in.
+/// One instant on this machine's clocks.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct ArrivalTime {
+pub struct ClockReading {
     /// CLOCK_MONOTONIC, nanoseconds.
     pub monotonic_ns: i64,
     /// UTC by our clock, nanoseconds since 1970.
@@ -24,9 +27,9 @@ pub struct ArrivalTime {
     pub is_synchronised: bool,
 }
 
-impl ArrivalTime {
+impl ClockReading {
     /// Now.
-    pub(crate) fn now() -> Self {
+    pub fn now() -> Self {
         let monotonic_ns = monotonic_ns();
         let (utc_ns, is_synchronised) = utc_from_monotonic(monotonic_ns);
         Self { monotonic_ns, utc_ns, is_synchronised }
@@ -38,135 +41,93 @@ impl ArrivalTime {
     }
 }
 
-/// The time that a report says it was sent at.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct SendTime {
-    /// UTC by the sender's clock, nanoseconds since 1970.
-    pub utc_ns: i64,
-    /// Whether that clock is synchronised with UTC.
-    pub is_synchronised: bool,
-}
-
-/// Why a report is not of now.
-#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
-pub enum NotOfNow {
-    /// It was held on its way.
-    #[error("{late_ms} ms late: it was held on its way")]
-    Stale {
-        /// How much later than others it came, milliseconds.
-        late_ms: i64,
-    },
-    /// It says that it was sent later than can be.
-    #[error("sent {early_ms} ms after now by its own clock")]
-    Future {
-        /// By how much, milliseconds.
-        early_ms: i64,
-    },
-    /// It was on its way when the observer answered; the answer says more.
-    #[error("it was overtaken by an answer")]
-    Overtaken,
-    /// Sent no later than one that is here already.
-    #[error("sent {older_ms} ms before one that is here already, or said twice")]
-    Replayed {
-        /// How much older it is, milliseconds.
-        older_ms: i64,
-    },
-}
-
 /// What is remembered of one observer's reports.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Freshness {
-    way: OneWay,
+    /// How the observer's clock differs from ours.
+    pub(crate) way: OneWay,
     last_passed_ns: Option<i64>,
-    /// The observer's last answer, where reports are signed.
-    answer: Option<Answer>,
-}
-
-/// An answer that is known to be of now.
-#[derive(Debug, Clone, Copy, PartialEq)]
-struct Answer {
-    sent_utc_ns: i64,
-    arrived_ns: i64,
+    /// When the newest report was sent, by the observer's clock.
+    newest_utc_ns: Option<i64>,
+    /// The observer's last answer, where reports are signed: when it was sent and when it arrived.
+    answer: Option<(i64, i64)>,
 }
 
 impl Freshness {
-    /// How the observer's clock differs from ours.
-    pub fn way(&self) -> &OneWay {
-        &self.way
-    }
-
-    pub(crate) fn way_mut(&mut self) -> &mut OneWay {
-        &mut self.way
-    }
-
     /// Whether what comes now is the first, or the first after a silence.
-    pub(crate) fn begins_anew(&self, arrival: &ArrivalTime) -> bool {
+    pub(crate) fn begins_anew(&self, arrival: &ClockReading) -> bool {
         self.last_passed_ns
             .is_none_or(|last| arrival.monotonic_ns.saturating_sub(last) > ANEW_AFTER_NS)
     }
 
     /// Begins anew with an answer that is known to be of now.
-    pub(crate) fn begin(&mut self, sent: SendTime, arrival: &ArrivalTime) {
+    pub(crate) fn begin(&mut self, sent_utc_ns: i64, arrival: &ClockReading) {
         *self = Self::default();
-        self.way.add(sent.utc_ns, arrival.monotonic_ns);
+        self.way.add(sent_utc_ns, arrival.monotonic_ns);
         self.last_passed_ns = Some(arrival.monotonic_ns);
-        self.answer = Some(Answer { sent_utc_ns: sent.utc_ns, arrived_ns: arrival.monotonic_ns });
+        self.newest_utc_ns = Some(sent_utc_ns);
+        self.answer = Some((sent_utc_ns, arrival.monotonic_ns));
     }
 
-    /// Passes a report that was published, or says why it is not of now. `newest_utc_ns` is when the newest
-    /// report under the same key was sent.
+    /// Notes an answer that need not be of now.
+    pub(crate) fn note(&mut self, sent_utc_ns: i64) {
+        self.newest_utc_ns = self.newest_utc_ns.max(Some(sent_utc_ns));
+    }
+
+    /// Passes a report that was published, or says why it is not of now. `is_synchronised` says
+    /// whether the sender's clock is, with UTC.
     pub(crate) fn pass(
         &mut self,
-        sent: SendTime,
-        newest_utc_ns: Option<i64>,
-        arrival: &ArrivalTime,
-    ) -> Result<(), NotOfNow> {
-        let is_anew = self.begins_anew(arrival);
-        if is_anew {
-            self.way = OneWay::default();
+        sent_utc_ns: i64,
+        is_synchronised: bool,
+        arrival: &ClockReading,
+    ) -> Result<(), Refusal> {
+        if self.begins_anew(arrival) {
+            (self.way, self.newest_utc_ns) = (OneWay::default(), None);
         }
-        let newest_utc_ns = newest_utc_ns.filter(|_| !is_anew);
-        self.check(sent, newest_utc_ns, arrival)?;
-        self.way.add(sent.utc_ns, arrival.monotonic_ns);
+        self.check(sent_utc_ns, is_synchronised, arrival)?;
+        self.way.add(sent_utc_ns, arrival.monotonic_ns);
         self.last_passed_ns = Some(arrival.monotonic_ns);
+        self.newest_utc_ns = Some(sent_utc_ns);
         Ok(())
     }
 
     fn check(
         &self,
-        sent: SendTime,
-        newest_utc_ns: Option<i64>,
-        arrival: &ArrivalTime,
-    ) -> Result<(), NotOfNow> {
-        let late_ns = if sent.is_synchronised && arrival.is_synchronised {
-            Some(arrival.utc_ns.saturating_sub(sent.utc_ns))
+        sent_utc_ns: i64,
+        is_synchronised: bool,
+        arrival: &ClockReading,
+    ) -> Result<(), Refusal> {
+        let late_ns = if is_synchronised && arrival.is_synchronised {
+            Some(arrival.utc_ns.saturating_sub(sent_utc_ns))
         } else {
-            self.way.above_least(sent.utc_ns, arrival.monotonic_ns)
+            self.way.above_least(sent_utc_ns, arrival.monotonic_ns)
         };
         let late_ns = late_ns.unwrap_or(0);
-        let mut newest_utc_ns = newest_utc_ns;
-        if let Some(Answer { sent_utc_ns, arrived_ns }) = self.answer {
-            let before_ns = sent_utc_ns.saturating_sub(sent.utc_ns);
+        let mut newest_utc_ns = self.newest_utc_ns;
+        if let Some((answer_utc_ns, arrived_ns)) = self.answer {
+            let before_ns = answer_utc_ns.saturating_sub(sent_utc_ns);
             if (0..STALE_NS).contains(&before_ns) {
-                return Err(NotOfNow::Overtaken);
+                return Err(Refusal::Overtaken);
             }
-            newest_utc_ns = newest_utc_ns.max(Some(sent_utc_ns));
-            // Whoever holds reports back a little longer each time moves the quickest way, but not the answer.
+            newest_utc_ns = newest_utc_ns.max(Some(answer_utc_ns));
+            // Whoever holds reports back a little longer each time moves the quickest way, but not
+            // the answer.
             let since_answer_ns = arrival.monotonic_ns.saturating_sub(arrived_ns);
             let late_ns = since_answer_ns.saturating_add(before_ns);
             if before_ns < 0 && late_ns > STALE_NS {
-                return Err(NotOfNow::Stale { late_ms: late_ns / 1_000_000 });
+                return Err(Refusal::Stale { late_ms: late_ns / 1_000_000 });
             }
         }
         if late_ns > STALE_NS {
-            return Err(NotOfNow::Stale { late_ms: late_ns / 1_000_000 });
+            return Err(Refusal::Stale { late_ms: late_ns / 1_000_000 });
         }
         if late_ns < -FUTURE_NS {
-            return Err(NotOfNow::Future { early_ms: -(late_ns / 1_000_000) });
+            return Err(Refusal::Future { early_ms: -(late_ns / 1_000_000) });
         }
         match newest_utc_ns {
-            Some(newest) if sent.utc_ns <= newest => {
-                Err(NotOfNow::Replayed { older_ms: newest.saturating_sub(sent.utc_ns) / 1_000_000 })
+            Some(newest) if sent_utc_ns <= newest => {
+                Err(Refusal::Replayed { older_ms: newest.saturating_sub(sent_utc_ns) / 1_000_000 })
             }
             _ => Ok(()),
         }
@@ -181,98 +142,81 @@ mod tests {
     const UTC: i64 = 1_700_000_000_000_000_000;
     const SECOND: i64 = 1_000_000_000;
 
-    fn at(monotonic_ns: i64, is_synchronised: bool) -> ArrivalTime {
-        ArrivalTime { monotonic_ns, utc_ns: monotonic_ns + UTC, is_synchronised }
+    fn at(monotonic_ns: i64, is_synchronised: bool) -> ClockReading {
+        ClockReading { monotonic_ns, utc_ns: monotonic_ns + UTC, is_synchronised }
     }
 
     /// A report sent at `sent_ns` (by a clock that is a day wrong) that arrives at `arrived_ns`.
-    fn pass(
-        freshness: &mut Freshness,
-        newest: &mut Option<i64>,
-        sent_ns: i64,
-        arrived_ns: i64,
-    ) -> Result<(), NotOfNow> {
-        let sent = SendTime { utc_ns: sent_ns + UTC - 86_400 * SECOND, is_synchronised: false };
-        freshness.pass(sent, *newest, &at(arrived_ns, true))?;
-        *newest = Some(sent.utc_ns);
-        Ok(())
+    fn pass(freshness: &mut Freshness, sent_ns: i64, arrived_ns: i64) -> Result<(), Refusal> {
+        freshness.pass(sent_ns + UTC - 86_400 * SECOND, false, &at(arrived_ns, true))
     }
 
     #[test]
     fn reports_that_flow_pass_whatever_the_clock_says() {
-        let (mut freshness, mut newest) = (Freshness::default(), None);
+        let mut freshness = Freshness::default();
         for k in 0..1_000 {
             let delay = [2, 40, 3, 900][k as usize % 4] * 1_000_000;
-            pass(&mut freshness, &mut newest, k * 33_000_000, k * 33_000_000 + delay).unwrap();
+            pass(&mut freshness, k * 33_000_000, k * 33_000_000 + delay).unwrap();
         }
     }
 
     #[test]
     fn what_was_held_back_said_twice_or_is_to_come_is_refused() {
-        let (mut freshness, mut newest) = (Freshness::default(), None);
-        pass(&mut freshness, &mut newest, 0, 1_000_000).unwrap();
-        let held = pass(&mut freshness, &mut newest, SECOND / 10, 3 * SECOND / 2);
-        assert!(matches!(held, Err(NotOfNow::Stale { late_ms: 1399 })), "{held:?}");
-        pass(&mut freshness, &mut newest, SECOND, SECOND + 1_000_000).unwrap();
-        let twice = pass(&mut freshness, &mut newest, SECOND, SECOND + 9_000_000);
-        assert!(matches!(twice, Err(NotOfNow::Replayed { older_ms: 0 })));
-        let early = pass(&mut freshness, &mut newest, 9 * SECOND, 2 * SECOND);
-        assert!(matches!(early, Err(NotOfNow::Future { .. })));
-        pass(&mut freshness, &mut newest, 2 * SECOND, 2 * SECOND + 1_000_000)
-            .expect("others go on");
+        let mut freshness = Freshness::default();
+        pass(&mut freshness, 0, 1_000_000).unwrap();
+        let held = pass(&mut freshness, SECOND / 10, 3 * SECOND / 2);
+        assert!(matches!(held, Err(Refusal::Stale { late_ms: 1399 })), "{held:?}");
+        pass(&mut freshness, SECOND, SECOND + 1_000_000).unwrap();
+        let twice = pass(&mut freshness, SECOND, SECOND + 9_000_000);
+        assert!(matches!(twice, Err(Refusal::Replayed { older_ms: 0 })));
+        let early = pass(&mut freshness, 9 * SECOND, 2 * SECOND);
+        assert!(matches!(early, Err(Refusal::Future { .. })));
+        pass(&mut freshness, 2 * SECOND, 2 * SECOND + 1_000_000).expect("others go on");
     }
 
     #[test]
     fn a_clock_that_was_set_costs_three_seconds() {
-        let (mut freshness, mut newest) = (Freshness::default(), None);
-        pass(&mut freshness, &mut newest, 100 * SECOND, 100 * SECOND).unwrap();
+        let mut freshness = Freshness::default();
+        pass(&mut freshness, 100 * SECOND, 100 * SECOND).unwrap();
         let passed: Vec<bool> = (0..50)
             .map(|k| {
                 let now = 100 * SECOND + k * SECOND / 10;
                 // Set back by a minute.
-                pass(&mut freshness, &mut newest, now - 60 * SECOND, now).is_ok()
+                pass(&mut freshness, now - 60 * SECOND, now).is_ok()
             })
             .collect();
         assert_eq!(passed.iter().position(|passed| *passed), Some(31));
         assert!(passed[31..].iter().all(|passed| *passed));
     }
 
-    /// By the quickest of the last 40 s alone, whoever holds reports back could let their age grow without end.
+    /// By the quickest of the last 40 s alone, whoever holds reports back could let their age grow
+    /// without end.
     #[test]
     fn after_an_answer_nothing_is_held_back_longer_and_longer() {
-        let answered = SendTime { utc_ns: UTC, is_synchronised: false };
         let mut freshness = Freshness::default();
-        freshness.begin(answered, &at(0, false));
-        let mut newest = None;
+        freshness.begin(UTC, &at(0, false));
         let passed = (1..6_000).take_while(|k| {
             let sent_ns = k * SECOND / 20;
             // Held back by one part in fifty.
             let arrived = at(sent_ns + sent_ns / 50, false);
-            let sent = SendTime { utc_ns: UTC + sent_ns, is_synchronised: false };
-            let passed = freshness.pass(sent, newest, &arrived);
-            newest = Some(sent.utc_ns);
-            passed.is_ok()
+            freshness.pass(UTC + sent_ns, false, &arrived).is_ok()
         });
         assert_eq!(passed.count(), 20 * 50, "until a second is reached");
-        let overtaken = SendTime { utc_ns: UTC - 1, is_synchronised: false };
-        let overtaken = freshness.pass(overtaken, newest, &at(SECOND / 10, false));
-        assert_eq!(overtaken, Err(NotOfNow::Overtaken));
+        let overtaken = freshness.pass(UTC - 1, false, &at(SECOND / 10, false));
+        assert!(matches!(overtaken, Err(Refusal::Overtaken)));
     }
 
     /// With both clocks synchronised not even the first report can be an old one.
     #[test]
     fn between_synchronised_clocks_an_old_report_never_passes() {
         let mut freshness = Freshness::default();
-        let sent = |utc_ns| SendTime { utc_ns, is_synchronised: true };
         let now = at(50 * SECOND, true);
-        let old = freshness.pass(sent(UTC + 40 * SECOND), None, &now);
-        assert!(matches!(old, Err(NotOfNow::Stale { late_ms: 10_000 })));
-        let early = freshness.pass(sent(UTC + 52 * SECOND), None, &now);
-        assert!(matches!(early, Err(NotOfNow::Future { early_ms: 2_000 })));
-        freshness.pass(sent(UTC + 50 * SECOND - 2_000_000), None, &now).unwrap();
+        let old = freshness.pass(UTC + 40 * SECOND, true, &now);
+        assert!(matches!(old, Err(Refusal::Stale { late_ms: 10_000 })));
+        let early = freshness.pass(UTC + 52 * SECOND, true, &now);
+        assert!(matches!(early, Err(Refusal::Future { early_ms: 2_000 })));
+        freshness.pass(UTC + 50 * SECOND - 2_000_000, true, &now).unwrap();
         let unsure = at(50 * SECOND, false);
-        Freshness::default()
-            .pass(sent(UTC), None, &unsure)
-            .expect("by our clock alone none is old");
+        Freshness::default().pass(UTC, true, &unsure).expect("by our clock alone none is old");
     }
 }

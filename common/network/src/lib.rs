@@ -11,8 +11,8 @@
 //! - [`endpoint`]: whether a text can be an endpoint.
 //! - [`utc_from_monotonic`]: the time stamp of a report.
 //!
-//! The format is in [`flockeye_contract::wire`]; `docs/PEERS.md` describes it for subscribers in other
-//! languages.
+//! The format is in [`flockeye_contract::wire`]; `docs/PEERS.md` describes it for subscribers in
+//! other languages.
 
 mod access;
 mod clock;
@@ -25,6 +25,7 @@ mod listener;
 mod outbox;
 mod parameters;
 mod peers;
+mod refusal;
 mod refused_links;
 mod reporter;
 mod session;
@@ -33,12 +34,14 @@ mod utc;
 mod waiting;
 
 pub use clock::ClockEstimate;
+pub use connection::{open_session, spawn};
 pub use error::NetworkError;
-pub use freshness::{ArrivalTime, NotOfNow};
+pub use freshness::ClockReading;
 pub use listener::Listener;
 pub use parameters::{NetworkMode, NetworkParameters, router_config};
-pub use peers::{LatestSighting, MAX_OBSERVERS, PeerState, Peers, Refusal, Refused, age_of};
-pub use reporter::{Reporter, ReporterCounters};
+pub use peers::{LatestSighting, PeerState, Peers};
+pub use refusal::Refused;
+pub use reporter::{Reporter, SendCounters};
 pub use session::Network;
 pub use stream::{ReportStream, TimedSighting};
 pub use utc::{monotonic_now_ns, utc_from_monotonic};

@@ -3,7 +3,7 @@
 use std::{
     collections::BTreeMap,
     sync::{Arc, Condvar, Mutex, PoisonError},
-    thread::{self, JoinHandle},
+    thread::JoinHandle,
     time::{Duration, Instant},
 };
 
@@ -18,10 +18,11 @@ use zenoh::{
     sample::{Sample, SampleKind},
 };
 
-use crate::connection::Connection;
+use crate::connection::{Connection, spawn};
 use crate::error::NetworkError;
-use crate::freshness::ArrivalTime;
-use crate::peers::{Arrival, Delivery, Peers, Refusal, alive_in, observer_in};
+use crate::freshness::ClockReading;
+use crate::peers::{Arrival, Delivery, Peers, alive_in, observer_in};
+use crate::refusal::Refusal;
 use crate::stream::{ReportStream, Streams, TimedSighting};
 use flockeye_runtime::clock::utc_s;
 use flockeye_runtime::lock::lock;
@@ -37,9 +38,9 @@ const MOST_WARNINGS: usize = 256;
 
 /// Keeps a table of who is alive and what each of them sees, until dropped.
 ///
-/// Frame reports are received as they are published. An observer that is first seen is asked for its last values,
-/// so that a drone that joins late knows what the others know. Refused messages are counted and logged, and have
-/// no other effect.
+/// Frame reports are received as they are published. An observer that is first seen is asked for
+/// its last values, so that a drone that joins late knows what the others know. Refused messages
+/// are counted and logged, and have no other effect.
 #[derive(Debug)]
 pub struct Listener {
     hub: Arc<Hub>,
@@ -62,14 +63,8 @@ impl Listener {
             changed: Condvar::new(),
             warnings: Mutex::default(),
         });
-        let name = "zenoh-listener";
-        let thread = {
-            let hub = hub.clone();
-            thread::Builder::new()
-                .name(name.into())
-                .spawn(move || run(&hub, &connection))
-                .map_err(|source| NetworkError::Thread { name, source })?
-        };
+        let of_thread = hub.clone();
+        let thread = spawn("zenoh-listener", move || run(&of_thread, &connection))?;
         Ok(Self { hub, thread: Some(thread) })
     }
 
@@ -80,7 +75,7 @@ impl Listener {
 
     /// Every report from now on, one by one; at most `capacity` wait to be read, then the oldest
     /// are dropped.
-    pub fn stream(&self, capacity: usize) -> ReportStream {
+    pub fn stream(&self, capacity: usize) -> Arc<ReportStream> {
         self.hub.streams.subscribe(capacity)
     }
 }
@@ -107,28 +102,19 @@ struct Hub {
     streams: Streams,
     newcomers: Mutex<Newcomers>,
     changed: Condvar,
-    warnings: Mutex<Warnings>,
+    /// Throttles of warnings about refused messages: one for each observer and reason, so that none
+    /// hides another.
+    warnings: Mutex<BTreeMap<(String, &'static str), Throttle>>,
 }
 
-/// Observers that are still to be asked for their last values, and when. All are in the table of peers, which
-/// bounds their number.
+/// Observers that are still to be asked for their last values, and when. All are in the table of
+/// peers, which bounds their number.
 #[derive(Debug, Default)]
 struct Newcomers {
     due: BTreeMap<String, Instant>,
     /// When each was asked to prove that it is there.
     asked: BTreeMap<String, Instant>,
     closed: bool,
-}
-
-/// Throttles of warnings about refused messages: one for each observer and reason, so that none hides another.
-#[derive(Debug, Default)]
-struct Warnings(BTreeMap<(String, &'static str), Throttle>);
-
-impl Warnings {
-    fn of(&mut self, observer: &str, refusal: &Refusal) -> &mut Throttle {
-        let name = if self.0.len() < MOST_WARNINGS { observer } else { "" };
-        self.0.entry((name.into(), refusal.reason())).or_default()
-    }
 }
 
 impl Hub {
@@ -138,7 +124,7 @@ impl Hub {
             return;
         }
         let key = sample.key_expr().as_str();
-        let arrival = Arrival { at: Instant::now(), time: ArrivalTime::now(), delivery };
+        let arrival = Arrival { at: Instant::now(), time: ClockReading::now(), delivery };
         // No longer than the session lets through.
         let payload = sample.payload().to_bytes();
         let said = Statement { key, challenge, payload: &payload };
@@ -161,7 +147,8 @@ impl Hub {
         drop(peers);
         let arrived_monotonic_ns = arrival.time.monotonic_ns;
         for report in sightings {
-            // Before the first published report nothing is known of the clock but the age that it states.
+            // Before the first published report nothing is known of the clock but the age that it
+            // states.
             let (exposure_monotonic_ns, exposure_deviation_ns) = match clock {
                 Some(clock) => (clock.monotonic_from_utc(report.stamp_utc_ns), clock.deviation_ns),
                 None => {
@@ -199,7 +186,7 @@ impl Hub {
             // The table has room for members alone.
             peers.refused += 1;
             match untrusted {
-                Untrusted::NotKnown => Untrusted::NotAMember { name: observer.into() }.into(),
+                Untrusted::NotKnown => Untrusted::NotAMember(observer.into()).into(),
                 other => other.into(),
             }
         })
@@ -216,7 +203,8 @@ impl Hub {
         }
     }
 
-    /// Asks an observer, for its last values and whether it is there; a little later if it was asked just now.
+    /// Asks an observer, for its last values and whether it is there; a little later if it was
+    /// asked just now.
     fn ask_again(&self, observer: &str) {
         let now = Instant::now();
         let mut newcomers = lock(&self.newcomers);
@@ -228,7 +216,11 @@ impl Hub {
     fn warn(&self, key: &str, refusal: &Refusal) {
         let observer = observer_in(key).filter(|observer| self.may_be(observer));
         // Not longer than this: a log that is stuck holds nobody else up.
-        let admitted = lock(&self.warnings).of(observer.unwrap_or_default(), refusal).admit();
+        let mut warnings = lock(&self.warnings);
+        let has_room = warnings.len() < MOST_WARNINGS;
+        let name = observer.filter(|_| has_room).unwrap_or_default();
+        let admitted = warnings.entry((name.into(), refusal.reason())).or_default().admit();
+        drop(warnings);
         if let Some(held_back) = admitted {
             tracing::warn!(held_back, "refused a message on {key:?}: {refusal}");
         }
@@ -244,7 +236,7 @@ impl Hub {
         };
         if !self.may_be(observer) {
             lock(&self.peers).refused += 1;
-            return self.warn(key, &Untrusted::NotAMember { name: observer.into() }.into());
+            return self.warn(key, &Untrusted::NotAMember(observer.into()).into());
         }
         if !lock(&self.peers).set_alive(observer, is_there, now) {
             return self.warn(key, &Refusal::TooManyObservers);
@@ -291,7 +283,8 @@ impl Hub {
     }
 }
 
-/// Deviation of a last value's exposure before anything is known of its sender's clock: a time on the air.
+/// Deviation of a last value's exposure before anything is known of its sender's clock: a time on
+/// the air.
 const UNKNOWN_DEVIATION_NS: i64 = 10_000_000;
 
 fn run(hub: &Arc<Hub>, connection: &Connection) {

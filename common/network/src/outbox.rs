@@ -4,7 +4,7 @@ use std::{collections::BTreeSet, sync::Mutex, time::Instant};
 
 use flockeye_contract::{
     TrackState,
-    wire::{FrameReport, MAX_TARGETS, WireError},
+    wire::{FrameReport, MAX_TARGETS, TargetReport, WireError},
 };
 use flockeye_runtime::lock::lock;
 use flockeye_runtime::slots::{Closed, Slots};
@@ -19,8 +19,8 @@ pub(crate) struct QueuedReport {
 }
 
 impl QueuedReport {
-    /// The report as it goes out at `now`. Its latency counts to the moment it is handed to the network, so
-    /// the time in the queue is added.
+    /// The report as it goes out at `now`. Its latency counts to the moment it is handed to the
+    /// network, so the time in the queue is added.
     pub(crate) fn encode(&self, now: Instant) -> Result<Vec<u8>, WireError> {
         let queued_ms = now.saturating_duration_since(self.since).as_secs_f64() * 1e3;
         let mut report = self.report.clone();
@@ -33,39 +33,25 @@ impl QueuedReport {
 #[derive(Debug, Default)]
 pub(crate) struct Outbox {
     waiting: Slots<(), QueuedReport>,
-    record: Mutex<Record>,
-}
-
-/// What was put in so far.
-#[derive(Debug, Default)]
-struct Record {
     /// The last report, without lost targets: the answer to later queries.
-    last: Option<QueuedReport>,
-    targets: BTreeSet<String>,
-}
-
-impl Record {
-    /// Notes a target; refuses one more than a listener keeps.
-    fn admit(&mut self, target: &str) -> Result<(), NetworkError> {
-        if !self.targets.contains(target) {
-            if self.targets.len() == MAX_TARGETS {
-                return Err(NetworkError::TooManyTargets { target: target.into() });
-            }
-            self.targets.insert(target.into());
-        }
-        Ok(())
-    }
+    last: Mutex<Option<QueuedReport>>,
+    targets: Mutex<BTreeSet<String>>,
 }
 
 impl Outbox {
-    /// Puts `report` in and returns at once.
+    /// Puts `report` in and returns at once. Refuses more targets than a listener keeps.
     pub(crate) fn put(&self, report: FrameReport, now: Instant) -> Result<(), NetworkError> {
-        let mut record = lock(&self.record);
-        report.targets.iter().try_for_each(|target| record.admit(&target.name))?;
+        let mut targets = lock(&self.targets);
+        for TargetReport { name, .. } in &report.targets {
+            if targets.len() == MAX_TARGETS && !targets.contains(name) {
+                return Err(NetworkError::TooManyTargets(name.clone()));
+            }
+            targets.insert(name.clone());
+        }
+        drop(targets);
         let mut lasting = report.clone();
         lasting.targets.retain(|target| target.state != TrackState::Lost);
-        record.last = Some(QueuedReport { report: lasting, since: now });
-        drop(record);
+        *lock(&self.last) = Some(QueuedReport { report: lasting, since: now });
         let put = self.waiting.put((), QueuedReport { report, since: now });
         put.map_err(|Closed| NetworkError::Closed)
     }
@@ -75,9 +61,8 @@ impl Outbox {
         self.waiting.take().map(|((), report)| report)
     }
 
-    /// The last report, without lost targets.
     pub(crate) fn last_value(&self) -> Option<QueuedReport> {
-        lock(&self.record).last.clone()
+        lock(&self.last).clone()
     }
 
     /// Reports that a newer one replaced before they were sent.
@@ -102,7 +87,7 @@ pub(crate) mod tests {
     use std::time::Duration;
 
     use flockeye_contract::MeasuredBy;
-    use flockeye_contract::wire::{FRAME_SCHEMA, TargetReport};
+    use flockeye_contract::wire::FRAME_SCHEMA;
 
     use super::*;
 
@@ -178,7 +163,7 @@ pub(crate) mod tests {
         let now = Instant::now();
         let put = |target: &str| outbox.put(frame_report("wren", &[target]), now);
         (0..MAX_TARGETS).for_each(|k| put(&format!("t{k}")).unwrap());
-        assert!(matches!(put("one-more"), Err(NetworkError::TooManyTargets { .. })));
+        assert!(matches!(put("one-more"), Err(NetworkError::TooManyTargets(_))));
         put("t0").expect("known targets go on");
     }
 

@@ -3,15 +3,15 @@
 use flockeye_contract::wire::{MAX_FRAME_REPORT_BYTES, MAX_NAME_CHARS, is_name};
 use flockeye_identity::{Member, MemberFiles, Roster};
 use flockeye_runtime::clock::utc_s;
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
 use serde_json::json;
 
 use crate::access::access_rules;
-use crate::endpoint::{check_connect, check_listen, check_protocol};
+use crate::endpoint::{check_connect, check_each, check_listen, check_protocol};
 use crate::error::NetworkError;
 
 /// What this session is to the others.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum NetworkMode {
     /// Talks to every other peer directly. Drones are peers.
@@ -25,8 +25,7 @@ pub enum NetworkMode {
 
 /// How to reach the swarm. By default nothing leaves the machine: name the radio's address in
 /// `listen`, and a neighbour in `connect` or set `scout_interface`.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct NetworkParameters {
     /// Name of the swarm; drones of other swarms are not heard. Letters, digits, `-`, `_`, `.`.
     pub swarm: String,
@@ -43,13 +42,14 @@ pub struct NetworkParameters {
     /// The interface, by name or address, on which peers are looked for by UDP multicast
     /// (224.0.0.224:7446); none: they are not.
     pub scout_interface: Option<String>,
-    /// Whether this session only looks on, and is no drone of the swarm: what the drones say of `observer`'s
-    /// clock is then not said of this machine's.
+    /// Whether this session only looks on, and is no drone of the swarm: what the drones say of
+    /// `observer`'s clock is then not said of this machine's.
     pub is_onlooker: bool,
-    /// The files by which members of the swarm know each other; none: anybody who can link can say anything.
+    /// The files by which members of the swarm know each other; none: anybody who can link can say
+    /// anything.
     pub security: Option<MemberFiles>,
-    /// How long a link may take to open, milliseconds: several round trips, of which each may be lost and sent again
-    /// after a second (docs/results/constants.md#links-over-a-bad-radio).
+    /// How long a link may take to open, milliseconds: several round trips, of which each may be
+    /// lost and sent again after a second (docs/results/constants.md#links-over-a-bad-radio).
     pub open_timeout_ms: u64,
     /// How long a silent neighbour counts as connected, milliseconds.
     pub lease_ms: u64,
@@ -76,8 +76,8 @@ impl NetworkParameters {
     /// Refuses what cannot work, also keys and certificates.
     ///
     /// # Errors
-    /// [`NetworkError::Parameter`], [`NetworkError::Identity`] or [`NetworkError::Another`] names the field or the
-    /// file, and the cure.
+    /// [`NetworkError::Parameter`], [`NetworkError::Identity`] or [`NetworkError::Another`] names
+    /// the field or the file, and the cure.
     pub fn check(&self) -> Result<(), NetworkError> {
         self.check_values()?;
         self.member().map(drop)
@@ -104,36 +104,27 @@ impl NetworkParameters {
     pub(crate) fn check_values(&self) -> Result<(), NetworkError> {
         check_name("swarm", &self.swarm)?;
         check_name("observer", &self.observer)?;
-        for (index, endpoint) in self.listen.iter().enumerate() {
-            self.check_protocol(endpoint)
-                .and_then(|()| check_listen(endpoint))
-                .map_err(|reason| wrong_item("listen", index, endpoint, reason))?;
-        }
-        for (index, endpoint) in self.connect.iter().enumerate() {
-            self.check_protocol(endpoint)
-                .and_then(|()| check_connect(endpoint))
-                .map_err(|reason| wrong_item("connect", index, endpoint, reason))?;
-        }
+        let check = |endpoint: &str| check_protocol(endpoint, self.security.is_some());
+        check_each("listen", &self.listen, |endpoint| check(endpoint).and(check_listen(endpoint)))?;
+        check_each("connect", &self.connect, |endpoint| {
+            check(endpoint).and(check_connect(endpoint))
+        })?;
         if let (Some(interface), Some(_)) = (&self.scout_interface, &self.security) {
             let reason = "cannot be used with security, because what comes by multicast is not protected. Cure: \
                           name the others in connect";
-            return Err(wrong("scout_interface", interface, reason));
+            return Err(NetworkError::parameter("scout_interface", interface, reason));
         }
         if self.mode == NetworkMode::Client && self.connect.is_empty() {
             let reason = "needs a router to connect to. Cure: name one in connect";
-            return Err(wrong("mode", "client", reason));
+            return Err(NetworkError::parameter("mode", "client", reason));
         }
         self.scout_interface.as_deref().map_or(Ok(()), check_interface)?;
         check_range("open_timeout_ms", self.open_timeout_ms, 100, 10_000)?;
         check_range("lease_ms", self.lease_ms, 500, 60_000)
     }
 
-    fn check_protocol(&self, endpoint: &str) -> Result<(), String> {
-        check_protocol(endpoint, self.security.is_some())
-    }
-
-    /// The parameters as Zenoh's configuration, in JSON, where those on `roster` alone may speak. Zenoh's `DEFAULT_CONFIG.json5` explains each
-    /// key.
+    /// The parameters as Zenoh's configuration, in JSON, where those on `roster` alone may speak.
+    /// Zenoh's `DEFAULT_CONFIG.json5` explains each key.
     pub(crate) fn zenoh_config(&self, roster: Option<&Roster>) -> serde_json::Value {
         let client = self.mode == NetworkMode::Client;
         // No limit for peers, which connect in the background. A client fails without a router; we
@@ -147,8 +138,8 @@ impl NetworkParameters {
         } else {
             &[]
         };
-        // When two drones find each other one of them connects: links that both open at once may come to carry one way
-        // only. Nobody connects to an onlooker.
+        // When two drones find each other one of them connects: links that both open at once may
+        // come to carry one way only. Nobody connects to an onlooker.
         let to_peer = if self.is_onlooker { "always" } else { "greater-zid" };
         let strategy = json!({ "peer": { "to_router": "always", "to_peer": to_peer } });
         let mut config = json!({
@@ -173,8 +164,9 @@ impl NetworkParameters {
                     "interface": self.scout_interface.as_deref().unwrap_or("lo"),
                     "autoconnect_strategy": strategy,
                 },
-                // Whoever is linked with one drone is told of the others. Zenoh may not make a link again that it made
-                // by hearsay, so drones have the links that are configured, or find each other anew.
+                // Whoever is linked with one drone is told of the others. Zenoh may not make a link
+                // again that it made by hearsay, so drones have the links that are configured, or
+                // find each other anew.
                 "gossip": {
                     "autoconnect": { "peer": by_hearsay },
                     "autoconnect_strategy": strategy,
@@ -223,8 +215,8 @@ impl NetworkParameters {
     }
 }
 
-/// The configuration of a router (`zenohd`) of a swarm: it listens on all interfaces, and whoever has no certificate of
-/// the swarm gets no link.
+/// The configuration of a router (`zenohd`) of a swarm: it listens on all interfaces, and whoever
+/// has no certificate of the swarm gets no link.
 pub fn router_config(files: MemberFiles, roster: &Roster) -> serde_json::Value {
     let router = NetworkParameters {
         mode: NetworkMode::Router,
@@ -241,7 +233,8 @@ const SEND_BUFFER_BYTES: usize = 32_768;
 /// A longer message is no report with its signature.
 const MOST_MESSAGE_BYTES: usize = MAX_FRAME_REPORT_BYTES + 4_096;
 
-/// Mutual TLS: each end shows its certificate, and the same one whether it connects or is connected to.
+/// Mutual TLS: each end shows its certificate, and the same one whether it connects or is connected
+/// to.
 fn tls_config(files: &MemberFiles) -> serde_json::Value {
     json!({
         "root_ca_certificate": files.ca,
@@ -250,20 +243,12 @@ fn tls_config(files: &MemberFiles) -> serde_json::Value {
         "listen_certificate": files.certificate,
         "connect_private_key": files.key,
         "connect_certificate": files.certificate,
-        // Certificates have drones' names, and links have addresses. Who is at the other end is what the access
-        // rules ask.
+        // Certificates have drones' names, and links have addresses. Who is at the other end is
+        // what the access rules ask.
         "verify_name_on_connect": false,
         "close_link_on_expiration": true,
         "so_sndbuf": SEND_BUFFER_BYTES,
     })
-}
-
-fn wrong(field: &str, found: &str, reason: impl Into<String>) -> NetworkError {
-    NetworkError::Parameter { field: field.into(), found: found.into(), reason: reason.into() }
-}
-
-fn wrong_item(field: &str, index: usize, found: &str, reason: String) -> NetworkError {
-    wrong(&format!("{field}[{index}]"), found, reason)
 }
 
 fn check_name(field: &str, name: &str) -> Result<(), NetworkError> {
@@ -271,21 +256,21 @@ fn check_name(field: &str, name: &str) -> Result<(), NetworkError> {
         return Ok(());
     }
     let reason = format!("is no name: 1 to {MAX_NAME_CHARS} letters, digits, '-', '_' or '.'");
-    Err(wrong(field, name, reason))
+    Err(NetworkError::parameter(field, name, reason))
 }
 
 fn check_range(field: &str, found: u64, least: u64, most: u64) -> Result<(), NetworkError> {
     if (least..=most).contains(&found) {
         return Ok(());
     }
-    Err(wrong(field, &found.to_string(), format!("must be {least} to {most}")))
+    Err(NetworkError::parameter(field, &found.to_string(), format!("must be {least} to {most}")))
 }
 
 fn check_interface(name: &str) -> Result<(), NetworkError> {
     let is_plain = |byte: u8| byte.is_ascii_alphanumeric() || b"-_.:@".contains(&byte);
     if name == "auto" || name.is_empty() || !name.bytes().all(is_plain) {
         let reason = "must name one interface or its address, such as wlan0 or 10.0.0.7";
-        return Err(wrong("scout_interface", name, reason));
+        return Err(NetworkError::parameter("scout_interface", name, reason));
     }
     Ok(())
 }

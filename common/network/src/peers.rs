@@ -9,15 +9,9 @@ use flockeye_contract::wire::{FrameReport, MAX_TARGETS, Sighting, is_name, short
 use flockeye_identity::Untrusted;
 
 use crate::clock::ClockEstimate;
-use crate::freshness::{ArrivalTime, Freshness, SendTime};
+use crate::freshness::{ClockReading, Freshness};
+use crate::refusal::{MAX_OBSERVERS, Refusal, Refused};
 use crate::waiting::Waiting;
-
-mod refusal;
-
-pub use refusal::{Refusal, Refused};
-
-/// Maximum observers of a listener.
-pub const MAX_OBSERVERS: usize = 64;
 
 /// What a listener knows at one moment.
 #[derive(Debug, Clone, Default)]
@@ -25,7 +19,7 @@ pub struct Peers {
     /// All known observers, by name.
     pub observers: BTreeMap<String, PeerState>,
     /// Messages refused that belong to none of them: keys that are no Flockeye keys, and observers
-    /// beyond [`MAX_OBSERVERS`].
+    /// beyond the 64 that are kept.
     pub refused: u64,
     /// This drone's own name, where it reports too: what the others say of its clock.
     own: Option<String>,
@@ -40,7 +34,8 @@ pub struct PeerState {
     pub alive: bool,
     /// When `alive` took its value.
     pub since: Instant,
-    /// Whether it has answered the question for its last values, or had its time: from now on nothing is missed.
+    /// Whether it has answered the question for its last values, or had its time: from now on
+    /// nothing is missed.
     pub is_heard: bool,
     /// The latest report on each target.
     pub targets: BTreeMap<String, LatestSighting>,
@@ -49,7 +44,6 @@ pub struct PeerState {
     freshness: Freshness,
     /// The wait for its answer, where reports are signed.
     waiting: Option<Waiting>,
-    newest_frame_utc_ns: Option<i64>,
 }
 
 /// The latest report on one target.
@@ -91,7 +85,6 @@ pub fn age_of(arrived: Instant, latency_ms: f64, now: Instant) -> Duration {
 /// How a report came in.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Delivery {
-    /// Published just now.
     Published,
     /// The answer to a query, so possibly older than what was published meanwhile.
     LastValue,
@@ -101,13 +94,13 @@ pub(crate) enum Delivery {
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Arrival {
     pub(crate) at: Instant,
-    pub(crate) time: ArrivalTime,
+    pub(crate) time: ClockReading,
     pub(crate) delivery: Delivery,
 }
 
 impl Peers {
-    /// The table of a listener that belongs to the drone `own`, or to none. A secure one takes in signed messages
-    /// alone.
+    /// The table of a listener that belongs to the drone `own`, or to none. A secure one takes in
+    /// signed messages alone.
     pub(crate) fn of(own: Option<String>, is_secure: bool) -> Self {
         Self { own, is_secure, ..Self::default() }
     }
@@ -200,7 +193,6 @@ impl Peers {
             refused: Refused::default(),
             freshness: Freshness::default(),
             waiting,
-            newest_frame_utc_ns: None,
         }))
     }
 }
@@ -208,7 +200,7 @@ impl Peers {
 impl PeerState {
     /// How its clock differs from this machine's, whose UTC is so far ahead of CLOCK_MONOTONIC.
     pub fn clock(&self, utc_less_monotonic_ns: i64) -> Option<ClockEstimate> {
-        self.freshness.way().estimate(utc_less_monotonic_ns)
+        self.freshness.way.estimate(utc_less_monotonic_ns)
     }
 
     fn take(
@@ -219,54 +211,47 @@ impl PeerState {
         own: Option<&str>,
     ) -> Result<Vec<Sighting>, Refusal> {
         let report = read_frame(payload, observer)?;
-        let newest = self.newest_frame_utc_ns;
-        let sent_ns = report.sent_utc_ns();
-        let sent = SendTime { utc_ns: sent_ns, is_synchronised: report.clock_synchronised };
-        self.pass(sent, newest, &arrival)?;
-        if arrival.delivery == Delivery::Published || newest.is_none_or(|newest| sent_ns > newest) {
-            self.newest_frame_utc_ns = Some(sent_ns);
-        }
+        self.pass(&report, &arrival)?;
         if let Some(clock) = own.and_then(|own| report.clocks.get(own)) {
-            self.freshness.way_mut().hear_back(clock);
+            self.freshness.way.hear_back(clock);
         }
-        let sightings: Vec<Sighting> = report.sightings().collect();
-        let mut taken = Vec::with_capacity(sightings.len());
-        let mut is_full = false;
-        for sighting in sightings {
+        let mut taken = Vec::new();
+        let mut refused = None;
+        for sighting in report.sightings() {
             match self.put(sighting, arrival) {
                 Ok(sighting) => taken.extend(sighting),
-                Err(NoRoom) => is_full = true,
+                Err(full) => refused = Some(full),
             }
         }
-        if is_full && taken.is_empty() { Err(Refusal::TooManyTargets) } else { Ok(taken) }
+        match refused {
+            Some(full) if taken.is_empty() => Err(full),
+            _ => Ok(taken),
+        }
     }
 
-    /// Passes what was published if it is of now. An answer to a query is older by nature: it only ever
-    /// fills what is empty, or replaces what is older. Where reports are signed it is one to a question of now, and
-    /// nothing is taken from an observer that has not answered.
-    fn pass(
-        &mut self,
-        sent: SendTime,
-        newest: Option<i64>,
-        arrival: &Arrival,
-    ) -> Result<(), Refusal> {
+    /// Passes what was published if it is of now. An answer to a query is older by nature: it only
+    /// ever fills what is empty, or replaces what is older. Where reports are signed it is one to a
+    /// question of now, and nothing is taken from an observer that has not answered.
+    fn pass(&mut self, report: &FrameReport, arrival: &Arrival) -> Result<(), Refusal> {
+        let sent_utc_ns = report.sent_utc_ns();
         match arrival.delivery {
             Delivery::Published if self.must_answer(&arrival.time) => {
                 return Err(self.unanswered(arrival.at));
             }
-            Delivery::Published => self.freshness.pass(sent, newest, &arrival.time)?,
+            Delivery::Published => {
+                self.freshness.pass(sent_utc_ns, report.clock_synchronised, &arrival.time)?;
+            }
             Delivery::LastValue if self.must_answer(&arrival.time) => {
                 self.waiting = Some(Waiting::default());
-                self.freshness.begin(sent, &arrival.time);
-                self.newest_frame_utc_ns = None;
+                self.freshness.begin(sent_utc_ns, &arrival.time);
             }
-            Delivery::LastValue => {}
+            Delivery::LastValue => self.freshness.note(sent_utc_ns),
         }
         Ok(())
     }
 
     /// Whether reports are signed, and it was silent, so that what comes now may be recorded.
-    fn must_answer(&self, now: &ArrivalTime) -> bool {
+    fn must_answer(&self, now: &ClockReading) -> bool {
         self.waiting.is_some() && self.freshness.begins_anew(now)
     }
 
@@ -279,10 +264,10 @@ impl PeerState {
         }
     }
 
-    fn put(&mut self, report: Sighting, arrival: Arrival) -> Result<Option<Sighting>, NoRoom> {
+    fn put(&mut self, report: Sighting, arrival: Arrival) -> Result<Option<Sighting>, Refusal> {
         let Some(held) = self.targets.get_mut(&report.target.name) else {
             if self.targets.len() == MAX_TARGETS {
-                return Err(NoRoom);
+                return Err(Refusal::TooManyTargets);
             }
             let received = LatestSighting {
                 report: report.clone(),
@@ -314,9 +299,6 @@ impl PeerState {
         Ok((!is_repeated).then_some(report))
     }
 }
-
-/// No room for another target.
-struct NoRoom;
 
 /// The report in `payload`, which must be of `observer`.
 fn read_frame(payload: &[u8], observer: &str) -> Result<FrameReport, Refusal> {

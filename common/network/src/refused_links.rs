@@ -1,5 +1,5 @@
-//! Links that Zenoh has refused, because the other end showed no certificate of the swarm. Zenoh tells its log alone of
-//! them, so the log is listened to.
+//! Links that Zenoh has refused, because the other end showed no certificate of the swarm. Zenoh
+//! tells its log alone of them, so the log is listened to.
 
 use std::sync::{Arc, OnceLock};
 

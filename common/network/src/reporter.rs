@@ -5,7 +5,7 @@ use std::{
         Arc,
         atomic::{AtomicU64, Ordering::Relaxed},
     },
-    thread::{self, JoinHandle},
+    thread::JoinHandle,
     time::{Duration, Instant},
 };
 
@@ -20,7 +20,7 @@ use zenoh::{
     query::Query,
 };
 
-use crate::connection::Connection;
+use crate::connection::{Connection, spawn};
 use crate::error::NetworkError;
 use crate::outbox::{Outbox, QueuedReport};
 
@@ -29,29 +29,32 @@ const CERTIFICATE_PERIOD: Duration = Duration::from_secs(1);
 
 /// Publishes that this drone is alive and where it sees its neighbours, until dropped.
 ///
-/// [`report`](Self::report) queues a report and returns; a separate thread hands it to Zenoh. So a stalled
-/// network never blocks the caller: a newer report replaces one that waits.
+/// [`report`](Self::report) queues a report and returns; a separate thread hands it to Zenoh. So a
+/// stalled network never blocks the caller: a newer report replaces one that waits.
 #[derive(Debug)]
 pub struct Reporter {
-    observer: String,
-    outbox: Arc<Outbox>,
-    counts: Arc<Counts>,
+    publication: Arc<Publication>,
     thread: Option<JoinHandle<()>>,
 }
 
-/// How many reports were sent, replaced and refused.
+/// How many messages were sent, replaced and refused.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct ReporterCounters {
+pub struct SendCounters {
     /// Handed to Zenoh, which may still drop them on a congested link.
     pub sent: u64,
-    /// Replaced by a newer report before they were sent.
+    /// Replaced by a newer message before they were sent.
     pub overwritten: u64,
-    /// Refused by [`Reporter::report`] or by Zenoh.
+    /// Refused here or by Zenoh.
     pub failed: u64,
 }
 
-#[derive(Debug, Default)]
-struct Counts {
+/// What is published, which the caller, the thread that sends and the answers to queries share.
+#[derive(Debug)]
+struct Publication {
+    swarm: String,
+    observer: String,
+    outbox: Outbox,
+    member: Option<Arc<Member>>,
     sent: AtomicU64,
     failed: AtomicU64,
 }
@@ -63,45 +66,59 @@ impl Reporter {
         observer: &str,
         member: Option<Arc<Member>>,
     ) -> Result<Self, NetworkError> {
-        let (outbox, counts) = (Arc::new(Outbox::default()), Arc::new(Counts::default()));
-        let sender = Sender {
+        let publication = Arc::new(Publication {
             swarm: swarm.into(),
             observer: observer.into(),
-            outbox: outbox.clone(),
-            counts: counts.clone(),
+            outbox: Outbox::default(),
             member,
-        };
-        let name = "zenoh-reporter";
-        let thread = thread::Builder::new()
-            .name(name.into())
-            .spawn(move || sender.run(&connection))
-            .map_err(|source| NetworkError::Thread { name, source })?;
-        Ok(Self { observer: observer.into(), outbox, counts, thread: Some(thread) })
+            sent: AtomicU64::new(0),
+            failed: AtomicU64::new(0),
+        });
+        let sender = publication.clone();
+        let thread = spawn("zenoh-reporter", move || sender.run(&connection))?;
+        Ok(Self { publication, thread: Some(thread) })
     }
 
-    /// Sends `report` as soon as the network takes it, unless a newer one comes first. Returns at once. Its lost
-    /// targets are sent too, but do not answer later queries.
+    /// Sends `report` as soon as the network takes it, unless a newer one comes first. Returns at
+    /// once. Its lost targets are sent too, but do not answer later queries.
     ///
     /// # Errors
-    /// [`NetworkError::Name`], [`NetworkError::Report`] and [`NetworkError::TooManyTargets`] for a report that no
-    /// listener would accept. It is counted as failed, and later ones are unaffected.
+    /// [`NetworkError::Name`], [`NetworkError::Report`] and [`NetworkError::TooManyTargets`] for a
+    /// report that no listener would accept. It is counted as failed, and later ones are
+    /// unaffected.
     pub fn report(&self, report: FrameReport) -> Result<(), NetworkError> {
-        let put = self.check(&report).and_then(|()| self.outbox.put(report, Instant::now()));
+        let checked = self.publication.check(&report);
+        let put = checked.and_then(|()| self.publication.outbox.put(report, Instant::now()));
         if put.is_err() {
-            self.counts.failed.fetch_add(1, Relaxed);
+            self.publication.failed.fetch_add(1, Relaxed);
         }
         put
     }
 
     /// How many reports were sent, replaced and refused.
-    pub fn counters(&self) -> ReporterCounters {
-        ReporterCounters {
-            sent: self.counts.sent.load(Relaxed),
-            overwritten: self.outbox.overwritten(),
-            failed: self.counts.failed.load(Relaxed),
+    pub fn counters(&self) -> SendCounters {
+        SendCounters {
+            sent: self.publication.sent.load(Relaxed),
+            overwritten: self.publication.outbox.overwritten(),
+            failed: self.publication.failed.load(Relaxed),
         }
     }
+}
 
+impl Drop for Reporter {
+    /// Sends what is waiting, then withdraws the liveliness token. On a stalled link this may take
+    /// two seconds, after which Zenoh closes the link.
+    fn drop(&mut self) {
+        self.publication.outbox.close();
+        if let Some(thread) = self.thread.take()
+            && thread.join().is_err()
+        {
+            tracing::error!("the reporter's thread panicked");
+        }
+    }
+}
+
+impl Publication {
     /// Refuses what a listener would.
     fn check(&self, report: &FrameReport) -> Result<(), NetworkError> {
         if report.observer != self.observer {
@@ -111,50 +128,8 @@ impl Reporter {
         let json = report.to_json().map_err(NetworkError::Report)?;
         FrameReport::from_json(&json).map(drop).map_err(NetworkError::Report)
     }
-}
 
-impl Drop for Reporter {
-    /// Sends what is waiting, then withdraws the liveliness token. On a stalled link this may take two
-    /// seconds, after which Zenoh closes the link.
-    fn drop(&mut self) {
-        self.outbox.close();
-        if let Some(thread) = self.thread.take()
-            && thread.join().is_err()
-        {
-            tracing::error!("the reporter's thread panicked");
-        }
-    }
-}
-
-/// What the thread that sends owns.
-struct Sender {
-    swarm: String,
-    observer: String,
-    outbox: Arc<Outbox>,
-    counts: Arc<Counts>,
-    member: Option<Arc<Member>>,
-}
-
-/// The publisher of the reports.
-struct Outlet {
-    publisher: Publisher<'static>,
-    /// When the certificate went along last.
-    certificate_sent: Option<Instant>,
-}
-
-impl Outlet {
-    /// Whether the certificate is due.
-    fn needs_certificate(&mut self, now: Instant) -> bool {
-        let is_due = self.certificate_sent.is_none_or(|sent| now - sent >= CERTIFICATE_PERIOD);
-        if is_due {
-            self.certificate_sent = Some(now);
-        }
-        is_due
-    }
-}
-
-impl Sender {
-    fn run(&self, connection: &Connection) {
+    fn run(self: &Arc<Self>, connection: &Connection) {
         let Some(session) = connection.session(|| self.outbox.is_closed()) else { return };
         if let Err(error) = self.serve(&session) {
             tracing::error!("reports no longer reach the network: {error}");
@@ -163,11 +138,10 @@ impl Sender {
         self.outbox.close();
     }
 
-    fn serve(&self, session: &Session) -> zenoh::Result<()> {
+    fn serve(self: &Arc<Self>, session: &Session) -> zenoh::Result<()> {
         let key = frame_key(&self.swarm, &self.observer);
         // Drones that join later query when they see the token, so the queryable is declared first.
-        let answerer =
-            Answerer { key: key.clone(), outbox: self.outbox.clone(), member: self.member.clone() };
+        let answerer = self.clone();
         let _last_value = session
             .declare_queryable(key.as_str())
             .callback(move |query| answerer.answer(&query))
@@ -182,46 +156,49 @@ impl Sender {
             .express(true)
             .reliability(Reliability::BestEffort)
             .wait()?;
-        let mut outlet = Outlet { publisher, certificate_sent: None };
+        let mut certificate_sent = None;
         let mut warnings = Throttle::default();
         while let Some(report) = self.outbox.take() {
-            match self.send(&mut outlet, &report) {
-                Ok(()) => self.counts.sent.fetch_add(1, Relaxed),
+            match self.send(&publisher, &report, &mut certificate_sent) {
+                Ok(()) => self.sent.fetch_add(1, Relaxed),
                 Err(error) => {
                     if let Some(held_back) = warnings.admit() {
                         tracing::warn!(held_back, "a report on {key} was not sent: {error}");
                     }
-                    self.counts.failed.fetch_add(1, Relaxed)
+                    self.failed.fetch_add(1, Relaxed)
                 }
             };
         }
         Ok(())
     }
 
-    fn send(&self, outlet: &mut Outlet, report: &QueuedReport) -> zenoh::Result<()> {
+    /// Sends a report, with the certificate where that was not sent for a while.
+    fn send(
+        &self,
+        publisher: &Publisher<'_>,
+        report: &QueuedReport,
+        certificate_sent: &mut Option<Instant>,
+    ) -> zenoh::Result<()> {
         let now = Instant::now();
         let payload = report.encode(now)?;
         let seal = self.member.as_ref().map(|member| {
-            let with_certificate = outlet.needs_certificate(now);
-            let key = outlet.publisher.key_expr().as_str();
+            let with_certificate =
+                certificate_sent.is_none_or(|sent| now - sent >= CERTIFICATE_PERIOD);
+            if with_certificate {
+                *certificate_sent = Some(now);
+            }
+            let key = publisher.key_expr().as_str();
             let said = Statement { key, challenge: Challenge::default(), payload: &payload };
             member.seal(&said, with_certificate)
         });
-        outlet.publisher.put(payload).attachment(seal).wait()
+        publisher.put(payload).attachment(seal).wait()
     }
-}
 
-/// Answers queries with the last report.
-struct Answerer {
-    key: String,
-    outbox: Arc<Outbox>,
-    member: Option<Arc<Member>>,
-}
-
-impl Answerer {
+    /// Answers a query with the last report.
     fn answer(&self, query: &Query) {
         let Some(report) = self.outbox.last_value() else { return };
-        let key = self.key.as_str();
+        let key = frame_key(&self.swarm, &self.observer);
+        let key = key.as_str();
         let sent = report.encode(Instant::now()).map_err(zenoh::Error::from).and_then(|json| {
             let seal: Option<Vec<u8>> =
                 self.member.as_ref().zip(challenge_in(query)).map(|(member, challenge)| {
@@ -236,8 +213,8 @@ impl Answerer {
     }
 }
 
-/// What the answer is signed for. Without a challenge, or for that of what is published, it is not signed: somebody
-/// could pass it on as a publication.
+/// What the answer is signed for. Without a challenge, or for that of what is published, it is not
+/// signed: somebody could pass it on as a publication.
 fn challenge_in(query: &Query) -> Option<Challenge> {
     let challenge = Challenge::try_from(&*query.attachment()?.to_bytes()).ok()?;
     (challenge != Challenge::default()).then_some(challenge)

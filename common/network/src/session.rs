@@ -23,9 +23,9 @@ pub struct Network {
 }
 
 impl Network {
-    /// Opens a session. Peers and routers are ready on return, within a few hundred milliseconds, even if
-    /// there is no other drone. A client needs its router: if there is none yet, it keeps trying in the
-    /// background. Lost links are restored in the background too.
+    /// Opens a session. Peers and routers are ready on return, within a few hundred milliseconds,
+    /// even if there is no other drone. A client needs its router: if there is none yet, it keeps
+    /// trying in the background. Lost links are restored in the background too.
     ///
     /// # Errors
     /// [`NetworkError::Parameter`], [`NetworkError::Listen`], [`NetworkError::Identity`] and
@@ -66,13 +66,15 @@ impl Network {
         Listener::start(self.connection.clone(), &self.swarm, own, trust)
     }
 
-    /// How many links were refused, by all sessions of this process, because the other end showed no certificate of
-    /// the swarm, and why the last one was. Zero where [`flockeye_runtime::logs::init`] was not called.
+    /// How many links were refused, by all sessions of this process, because the other end showed
+    /// no certificate of the swarm, and why the last one was. Zero where
+    /// [`flockeye_runtime::logs::init`] was not called.
     pub fn refused_links(&self) -> (u64, String) {
         refused_links::refused_links()
     }
 
-    /// When this session's certificate expires, seconds since 1970-01-01 UTC; none where it has none.
+    /// When this session's certificate expires, seconds since 1970-01-01 UTC; none where it has
+    /// none.
     pub fn expires_s(&self) -> Option<i64> {
         self.member.as_ref().map(|member| member.certificate.not_after_s)
     }

@@ -16,7 +16,8 @@ use flockeye_runtime::lock::lock;
 pub struct TimedSighting {
     /// Arrival, CLOCK_MONOTONIC of this machine, nanoseconds.
     pub arrived_monotonic_ns: i64,
-    /// Mid-exposure on this machine's CLOCK_MONOTONIC, by the estimate of the observer's clock, nanoseconds.
+    /// Mid-exposure on this machine's CLOCK_MONOTONIC, by the estimate of the observer's clock,
+    /// nanoseconds.
     pub exposure_monotonic_ns: i64,
     /// Standard deviation of that, nanoseconds.
     pub exposure_deviation_ns: i64,
@@ -27,11 +28,6 @@ pub struct TimedSighting {
 /// A bounded queue of reports. A reader that falls behind loses the oldest, and can see how many.
 #[derive(Debug)]
 pub struct ReportStream {
-    queue: Arc<Queue>,
-}
-
-#[derive(Debug)]
-struct Queue {
     capacity: usize,
     state: Mutex<State>,
     arrived: Condvar,
@@ -48,7 +44,7 @@ impl ReportStream {
     /// The next report, or none when none came within `timeout` or the listener is gone.
     pub fn recv_timeout(&self, timeout: Duration) -> Option<TimedSighting> {
         let deadline = Instant::now() + timeout;
-        let mut state = lock(&self.queue.state);
+        let mut state = lock(&self.state);
         loop {
             if let Some(heard) = state.reports.pop_front() {
                 return Some(heard);
@@ -57,7 +53,7 @@ impl ReportStream {
             if state.closed || left.is_zero() {
                 return None;
             }
-            state = match self.queue.arrived.wait_timeout(state, left) {
+            state = match self.arrived.wait_timeout(state, left) {
                 Ok((state, _)) => state,
                 Err(poisoned) => poisoned.into_inner().0,
             };
@@ -66,17 +62,17 @@ impl ReportStream {
 
     /// The next report, if one is there.
     pub fn try_recv(&self) -> Option<TimedSighting> {
-        lock(&self.queue.state).reports.pop_front()
+        lock(&self.state).reports.pop_front()
     }
 
     /// How many reports this reader was too slow for.
     pub fn dropped(&self) -> u64 {
-        lock(&self.queue.state).dropped
+        lock(&self.state).dropped
     }
 
     /// Whether the listener is gone and every report has been read.
     pub fn is_over(&self) -> bool {
-        let state = lock(&self.queue.state);
+        let state = lock(&self.state);
         state.closed && state.reports.is_empty()
     }
 }
@@ -84,41 +80,41 @@ impl ReportStream {
 /// The listener's end of its streams.
 #[derive(Debug, Default)]
 pub(crate) struct Streams {
-    queues: Mutex<Vec<Weak<Queue>>>,
+    streams: Mutex<Vec<Weak<ReportStream>>>,
 }
 
 impl Streams {
     /// A new stream that keeps at most `capacity` reports (at least one).
-    pub(crate) fn subscribe(&self, capacity: usize) -> ReportStream {
-        let queue = Arc::new(Queue {
+    pub(crate) fn subscribe(&self, capacity: usize) -> Arc<ReportStream> {
+        let stream = Arc::new(ReportStream {
             capacity: capacity.max(1),
             state: Mutex::default(),
             arrived: Condvar::new(),
         });
-        lock(&self.queues).push(Arc::downgrade(&queue));
-        ReportStream { queue }
+        lock(&self.streams).push(Arc::downgrade(&stream));
+        stream
     }
 
     /// Hands `heard` to every stream that still has a reader.
     pub(crate) fn send(&self, heard: &TimedSighting) {
-        lock(&self.queues).retain(|queue| {
-            let Some(queue) = queue.upgrade() else { return false };
-            let mut state = lock(&queue.state);
-            if state.reports.len() == queue.capacity {
+        lock(&self.streams).retain(|stream| {
+            let Some(stream) = stream.upgrade() else { return false };
+            let mut state = lock(&stream.state);
+            if state.reports.len() == stream.capacity {
                 state.reports.pop_front();
                 state.dropped += 1;
             }
             state.reports.push_back(heard.clone());
-            queue.arrived.notify_one();
+            stream.arrived.notify_one();
             true
         });
     }
 
     /// Tells every reader that nothing more will come.
     pub(crate) fn close(&self) {
-        for queue in lock(&self.queues).drain(..).filter_map(|queue| queue.upgrade()) {
-            lock(&queue.state).closed = true;
-            queue.arrived.notify_all();
+        for stream in lock(&self.streams).drain(..).filter_map(|stream| stream.upgrade()) {
+            lock(&stream.state).closed = true;
+            stream.arrived.notify_all();
         }
     }
 }
@@ -157,6 +153,6 @@ mod tests {
         let streams = Streams::default();
         drop(streams.subscribe(2));
         streams.send(&heard(1));
-        assert!(lock(&streams.queues).is_empty());
+        assert!(lock(&streams.streams).is_empty());
     }
 }

@@ -20,7 +20,8 @@ pub fn utc_from_monotonic(exposure_monotonic_ns: i64) -> (i64, bool) {
     let before = monotonic_ns();
     let utc_now = nanoseconds(clock_gettime(ClockId::Realtime));
     let after = monotonic_ns();
-    // The thread may have been suspended between two readings; the middle errs by half of that time.
+    // The thread may have been suspended between two readings; the middle errs by half of that
+    // time.
     let monotonic_now = before + (after - before) / 2;
     (utc_at(exposure_monotonic_ns, monotonic_now, utc_now), Path::new(SYNCHRONISED).exists())
 }

@@ -1,9 +1,9 @@
 //! How long an observer has been waited for, where reports are signed.
 //!
-//! A signature says who said something, and not when. Whoever recorded a drone's reports could play them while it is
-//! away, and its clock may be anything. So an observer that was not heard for a while must first answer a question
-//! that nobody could foresee; from then on what it says must be newer than its answer
-//! ([`Freshness`](crate::freshness::Freshness)).
+//! A signature says who said something, and not when. Whoever recorded a drone's reports could play
+//! them while it is away, and its clock may be anything. So an observer that was not heard for a
+//! while must first answer a question that nobody could foresee; from then on what it says must be
+//! newer than its answer ([`Freshness`](crate::freshness::Freshness)).
 
 use std::time::{Duration, Instant};
 

@@ -1,12 +1,10 @@
 //! A link to a swarm.
 
-use std::time::Duration;
+use std::sync::Arc;
 
 use flockeye_network::{
-    Listener, Network, NetworkError, NetworkParameters, PeerState, Peers, ReportStream,
+    LatestSighting, Listener, Network, NetworkError, NetworkParameters, Peers, ReportStream,
 };
-
-use crate::report::PeerReport;
 
 /// Reports that may wait to be read.
 const WAITING: usize = 1_024;
@@ -18,8 +16,8 @@ pub struct Client {
 }
 
 impl Client {
-    /// Links with `endpoints` (`tcp/10.0.0.7:7447`): drones or routers, found again whenever a link breaks. Returns
-    /// at once, also while none of them is there.
+    /// Links with `endpoints` (`tcp/10.0.0.7:7447`): drones or routers, found again whenever a link
+    /// breaks. Returns at once, also while none of them is there.
     ///
     /// # Errors
     /// An endpoint or the name cannot be one, or no session can be opened.
@@ -42,9 +40,10 @@ impl Client {
         Ok(Self { listener: Network::open(parameters)?.listener()? })
     }
 
-    /// Every report from now on, one by one. A reader that falls behind loses the oldest.
-    pub fn reports(&self) -> Reports {
-        Reports { stream: self.listener.stream(WAITING) }
+    /// Every report from now on, one by one ([`PeerReport`](crate::PeerReport) has its types). A
+    /// reader that falls behind loses the oldest.
+    pub fn reports(&self) -> Arc<ReportStream> {
+        self.listener.stream(WAITING)
     }
 
     /// What is known of all drones: who is alive, what each sees, whose messages were refused.
@@ -52,32 +51,8 @@ impl Client {
         self.listener.snapshot()
     }
 
-    /// The last report of `observer` on `target`, with its age ([`flockeye_network::LatestSighting::age`]).
-    pub fn last_known(
-        &self,
-        observer: &str,
-        target: &str,
-    ) -> Option<flockeye_network::LatestSighting> {
-        let peers = self.listener.snapshot();
-        let observer: &PeerState = peers.observers.get(observer)?;
-        observer.targets.get(target).cloned()
-    }
-}
-
-/// Reports as they come.
-#[derive(Debug)]
-pub struct Reports {
-    stream: ReportStream,
-}
-
-impl Reports {
-    /// The next report; none where none came within `patience`, or the client is gone.
-    pub fn next_within(&self, patience: Duration) -> Option<PeerReport> {
-        self.stream.recv_timeout(patience).as_ref().map(PeerReport::from)
-    }
-
-    /// How many reports this reader was too slow for.
-    pub fn missed(&self) -> u64 {
-        self.stream.dropped()
+    /// The last report of `observer` on `target`, with its age ([`LatestSighting::age`]).
+    pub fn last_known(&self, observer: &str, target: &str) -> Option<LatestSighting> {
+        self.peers().observers.get(observer)?.targets.get(target).cloned()
     }
 }

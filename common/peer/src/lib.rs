@@ -6,7 +6,7 @@
 //!
 //! ```
 //! use std::time::Duration;
-//! use flockeye_peer::{Client, SwarmView};
+//! use flockeye_peer::{Client, PeerReport, SwarmView};
 //!
 //! # fn main() -> Result<(), Box<dyn std::error::Error>> {
 //! # // The drone wren, on a port that nobody has. It sees kite.
@@ -37,7 +37,8 @@
 //! let reports = client.reports();
 //! let mut swarm = SwarmView::from("wren");
 //! // Each report as it comes ...
-//! let report = reports.next_within(Duration::from_secs(10)).ok_or("nobody reports")?;
+//! let heard = reports.recv_timeout(Duration::from_secs(10)).ok_or("nobody reports")?;
+//! let report = PeerReport::from(&heard);
 //! let position = report.observer_from_target.a_from_b.translation.vector;
 //! println!("{} sees {} at {position}, {:?} old", report.observer, report.target, report.age());
 //! swarm.hear(&report);
@@ -54,10 +55,10 @@
 mod client;
 mod report;
 mod swarm;
-mod view;
+mod uncertain_pose;
 
-pub use client::{Client, Reports};
-pub use flockeye_network::NetworkError;
+pub use client::Client;
+pub use flockeye_network::{NetworkError, ReportStream};
 pub use report::PeerReport;
-pub use swarm::{Place, UncertainPose};
-pub use view::SwarmView;
+pub use swarm::{DronePlace, SwarmView};
+pub use uncertain_pose::UncertainPose;

@@ -8,7 +8,7 @@ use flockeye_convert::{isometry, matrix6, symmetric6};
 use flockeye_network::TimedSighting;
 use nalgebra::Vector3;
 
-use crate::swarm::UncertainPose;
+use crate::uncertain_pose::UncertainPose;
 
 /// One drone's sighting of another, of a report that passed all checks.
 #[derive(Debug, Clone, PartialEq)]
@@ -23,7 +23,8 @@ pub struct PeerReport {
     pub state: TrackState,
     /// What this frame's measurement rests on.
     pub measured_by: MeasuredBy,
-    /// Filtered pose of the target in the observer's frame (x forward, y left, z up), and its covariance there.
+    /// Filtered pose of the target in the observer's frame (x forward, y left, z up), and its
+    /// covariance there.
     pub observer_from_target: UncertainPose,
     /// This frame's own measurement of it, where the report has one.
     pub measured: Option<UncertainPose>,
@@ -33,7 +34,8 @@ pub struct PeerReport {
     pub rate: Vector3<f64>,
     /// In which directions next to nothing is known.
     pub degenerate: Option<Degenerate>,
-    /// Mid-exposure on this machine's CLOCK_MONOTONIC, nanoseconds, by the estimate of the observer's clock.
+    /// Mid-exposure on this machine's CLOCK_MONOTONIC, nanoseconds, by the estimate of the
+    /// observer's clock.
     pub exposure_monotonic_ns: i64,
     /// Standard deviation of that, nanoseconds.
     pub exposure_deviation_ns: i64,
@@ -78,7 +80,8 @@ impl PeerReport {
         Duration::from_nanos(u64::try_from(age_ns).unwrap_or(0))
     }
 
-    /// The observer's pose as its target has it: for a target that is oneself, the peer's pose from here.
+    /// The observer's pose as its target has it: for a target that is oneself, the peer's pose from
+    /// here.
     pub fn target_from_observer(&self) -> UncertainPose {
         self.observer_from_target.inverse()
     }

@@ -1,5 +1,5 @@
-//! The bytes of plain CDR, little-endian, after the four bytes of an encapsulation header (OMG CORBA 3.4,
-//! 9.3; DDSI-RTPS 2.3, 10.2).
+//! The bytes of plain CDR, little-endian, after the four bytes of an encapsulation header (OMG
+//! CORBA 3.4, 9.3; DDSI-RTPS 2.3, 10.2).
 
 /// `CDR_LE`, no options.
 const ENCAPSULATION: [u8; 4] = [0x00, 0x01, 0x00, 0x00];

@@ -17,8 +17,8 @@ pub struct ChannelKind {
     pub definition: String,
 }
 
-/// Pixels of views, on a channel of its own beside that of the views' headers. Both have the same sequence
-/// numbers.
+/// Pixels of views, on a channel of its own beside that of the views' headers. Both have the same
+/// sequence numbers.
 pub const VIEW_IMAGES: &str = "/flockeye/view/image";
 /// Pictures of frames. Each stands behind its header.
 pub const FRAME_IMAGES: &str = "/flockeye/frame/image";
@@ -28,6 +28,11 @@ pub const FRAME_VIDEO: &str = "/flockeye/frame/video";
 pub const LOSSES: &str = "/flockeye/recording/loss";
 
 impl ChannelKind {
+    fn new(topic: &str, message: &str, definition: &str) -> Self {
+        let [topic, message, definition] = [topic, message, definition].map(str::to_owned);
+        Self { topic, message, definition }
+    }
+
     /// The channel of a topic of the contract.
     pub fn of_topic(layout: &TopicLayout) -> Self {
         Self {
@@ -39,55 +44,32 @@ impl ChannelKind {
 
     /// The channel of a neighbour's poses. Both names are those in ROS.
     pub fn of_poses(observer: &str, target: &str) -> Self {
-        Self {
-            topic: pose_topic(&format!("/{observer}"), target),
-            message: MessageType::PoseWithCovarianceStamped.ros_name().to_owned(),
-            definition: definition::POSE.to_owned(),
-        }
+        let topic = pose_topic(&format!("/{observer}"), target);
+        Self::new(&topic, MessageType::PoseWithCovarianceStamped.ros_name(), definition::POSE)
     }
 
     /// The channel of all transforms.
     pub fn of_transforms() -> Self {
-        Self {
-            topic: TRANSFORMS.to_owned(),
-            message: MessageType::TfMessage.ros_name().to_owned(),
-            definition: definition::TRANSFORMS.to_owned(),
-        }
+        Self::new(TRANSFORMS, MessageType::TfMessage.ros_name(), definition::TRANSFORMS)
     }
 
     /// The channel of views, pixels as they are.
     pub fn of_view_images() -> Self {
-        Self {
-            topic: VIEW_IMAGES.to_owned(),
-            message: "sensor_msgs/msg/Image".to_owned(),
-            definition: definition::IMAGE.to_owned(),
-        }
+        Self::new(VIEW_IMAGES, "sensor_msgs/msg/Image", definition::IMAGE)
     }
 
     /// The channel of compressed frames.
     pub fn of_frame_images() -> Self {
-        Self {
-            topic: FRAME_IMAGES.to_owned(),
-            message: "sensor_msgs/msg/CompressedImage".to_owned(),
-            definition: definition::COMPRESSED_IMAGE.to_owned(),
-        }
+        Self::new(FRAME_IMAGES, "sensor_msgs/msg/CompressedImage", definition::COMPRESSED_IMAGE)
     }
 
     /// The channel of a camera's own packets.
     pub fn of_frame_video() -> Self {
-        Self {
-            topic: FRAME_VIDEO.to_owned(),
-            message: "foxglove_msgs/msg/CompressedVideo".to_owned(),
-            definition: definition::COMPRESSED_VIDEO.to_owned(),
-        }
+        Self::new(FRAME_VIDEO, "foxglove_msgs/msg/CompressedVideo", definition::COMPRESSED_VIDEO)
     }
 
     /// The channel of losses: what the recording lacks.
     pub fn of_losses() -> Self {
-        Self {
-            topic: LOSSES.to_owned(),
-            message: "flockeye_msgs/msg/Loss".to_owned(),
-            definition: definition::LOSS.to_owned(),
-        }
+        Self::new(LOSSES, "flockeye_msgs/msg/Loss", definition::LOSS)
     }
 }

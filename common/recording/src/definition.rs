@@ -1,8 +1,11 @@
-//! The definitions of messages as ROS 2 writes them (`ros2msg`): what a message has, then each type in it.
+//! The definitions of messages as ROS 2 writes them (`ros2msg`): what a message has, then each type
+//! in it.
 
 use std::fmt::Write;
 
-use crate::layout::{Object, Shape, TopicLayout};
+use flockeye_contract::description::{Kind, TypeDescription};
+
+use crate::layout::{TopicLayout, numbers_of};
 
 /// What stands between two definitions in one text.
 const SEPARATOR: &str =
@@ -17,35 +20,42 @@ pub fn of_topic(layout: &TopicLayout) -> String {
         None => text += "uint64 payload_bytes\n",
     }
     let mut known = Vec::new();
-    for object in [Some(&layout.header), layout.item.as_ref()].into_iter().flatten() {
-        append(&mut text, object, &mut known);
+    for described in [Some(&layout.header), layout.item.as_ref()].into_iter().flatten() {
+        append(&mut text, layout, described, &mut known);
     }
     text
 }
 
 /// Appends a type and those in it, each once.
-fn append(text: &mut String, object: &Object, known: &mut Vec<&'static str>) {
-    if known.contains(&object.name) {
+fn append(
+    text: &mut String,
+    layout: &TopicLayout,
+    described: &TypeDescription,
+    known: &mut Vec<&'static str>,
+) {
+    if known.contains(&described.name) {
         return;
     }
-    known.push(object.name);
+    known.push(described.name);
     *text += SEPARATOR;
     // Writing to a String cannot fail.
-    let _ = writeln!(text, "MSG: flockeye_msgs/{}", object.name);
-    for member in &object.members {
-        let kind = match &member.shape {
-            Shape::Numbers(number, count) => {
+    let _ = writeln!(text, "MSG: flockeye_msgs/{}", described.name);
+    for field in &described.fields {
+        let kind = match (&field.kind, numbers_of(&field.kind)) {
+            (Kind::Type(inner), _) => format!("flockeye_msgs/{inner}"),
+            (_, Some((number, count))) => {
                 let array = count.map(|count| format!("[{count}]")).unwrap_or_default();
-                format!("{}{array}", ros_number(number.name))
+                format!("{}{array}", ros_number(number))
             }
-            Shape::Text(_) => "string".to_owned(),
-            Shape::Object(inner) => format!("flockeye_msgs/{}", inner.name),
+            (_, None) => "string".to_owned(),
         };
-        let _ = writeln!(text, "{kind} {}", member.name);
+        let _ = writeln!(text, "{kind} {}", field.name);
     }
-    for member in &object.members {
-        if let Shape::Object(inner) = &member.shape {
-            append(text, inner, known);
+    for field in &described.fields {
+        if let Kind::Type(inner) = &field.kind
+            && let Some(inner) = layout.type_named(inner)
+        {
+            append(text, layout, inner, known);
         }
     }
 }

@@ -1,4 +1,5 @@
-//! A file that keeps what is whole: a write that fails leaves nothing behind, and room is left for the end.
+//! A file that keeps what is whole: a write that fails leaves nothing behind, and room is left for
+//! the end.
 
 use std::fs::{File, OpenOptions};
 use std::io::{Seek, SeekFrom, Write};
@@ -8,7 +9,8 @@ use rustix::fs::{FlockOperation, fdatasync, flock, fstatvfs};
 
 use crate::error::RecordingError;
 
-/// Space of the disk that is left free: the file's own index goes there, and a full disk harms others.
+/// Space of the disk that is left free: the file's own index goes there, and a full disk harms
+/// others.
 const RESERVE_BYTES: u64 = 16_000_000;
 
 /// Free room is looked at each time so many bytes were written.
@@ -67,7 +69,8 @@ impl RecordingFile {
     /// Appends bytes, all of them or none.
     ///
     /// # Errors
-    /// [`RecordingError::DiskFull`] while there still is room for the end; [`RecordingError::File`].
+    /// [`RecordingError::DiskFull`] while there still is room for the end;
+    /// [`RecordingError::File`].
     pub fn append(&mut self, bytes: &[u8]) -> Result<(), RecordingError> {
         let end = self.bytes + bytes.len() as u64;
         if end >= self.look_at {
@@ -82,9 +85,6 @@ impl RecordingFile {
     }
 
     /// Appends to the end of the file, also into the room that is left for it.
-    ///
-    /// # Errors
-    /// [`RecordingError::File`].
     pub fn append_last(&mut self, bytes: &[u8]) -> Result<(), RecordingError> {
         let Err(error) = self.file.write_all(bytes) else {
             self.bytes += bytes.len() as u64;
@@ -98,9 +98,6 @@ impl RecordingFile {
     }
 
     /// Waits until the disk has it.
-    ///
-    /// # Errors
-    /// [`RecordingError::File`].
     pub fn sync(&self) -> Result<(), RecordingError> {
         fdatasync(&self.file)
             .map_err(|error| RecordingError::File { path: self.path.clone(), error: error.into() })

@@ -1,4 +1,5 @@
-//! Pictures as ROS 2 messages. Their bytes are written at once and not one by one, because there are many.
+//! Pictures as ROS 2 messages. Their bytes are written at once and not one by one, because there
+//! are many.
 
 use flockeye_ros2::messages::Time;
 
@@ -39,9 +40,6 @@ pub fn encode_image(stamp: Time, frame: &str, image: &Image<'_>) -> Vec<u8> {
 }
 
 /// The picture in a `sensor_msgs/msg/Image` that [`encode_image`] gave.
-///
-/// # Errors
-/// [`RecordingError::Message`] where the bytes are not those of such a picture.
 pub fn decode_image<'m>(channel: &str, message: &'m [u8]) -> Result<Image<'m>, RecordingError> {
     let decode = || -> Result<Image<'m>, String> {
         let mut cdr = CdrReader::new(message)?;
@@ -84,9 +82,6 @@ pub struct Compressed<'m> {
 }
 
 /// What is in a `sensor_msgs/msg/CompressedImage`.
-///
-/// # Errors
-/// [`RecordingError::Message`] where the bytes are not those of such a message.
 pub fn decode_compressed<'m>(
     channel: &str,
     message: &'m [u8],
@@ -108,9 +103,6 @@ pub fn encode_video(stamp: Time, frame: &str, format: &str, bytes: &[u8]) -> Vec
 }
 
 /// What is in a `foxglove_msgs/msg/CompressedVideo`.
-///
-/// # Errors
-/// [`RecordingError::Message`] where the bytes are not those of such a message.
 pub fn decode_video<'m>(
     channel: &str,
     message: &'m [u8],

@@ -1,5 +1,5 @@
-//! Reads a recording from any place on, by its index of chunks. Where it has none, because its recorder was killed,
-//! one pass over the file makes one.
+//! Reads a recording from any place on, by its index of chunks. Where it has none, because its
+//! recorder was killed, one pass over the file makes one.
 //!
 //! No more than one chunk is in memory at a time, so a recording may be larger than that.
 
@@ -16,7 +16,7 @@ use mcap::{McapError, Summary};
 use crate::channel::ChannelKind;
 use crate::chunk::{Chunk, RECORD_HEAD};
 use crate::error::RecordingError;
-use crate::reader::{Ending, RECORD_BYTES, Reader, damaged};
+use crate::reader::{Ending, RECORD_BYTES, RecordingReader, damaged};
 use crate::writer::{About, LARGEST_MESSAGE};
 
 /// A record, bytes at most.
@@ -62,11 +62,8 @@ pub struct IndexedRecording {
 
 impl IndexedRecording {
     /// Opens a recording.
-    ///
-    /// # Errors
-    /// As [`Reader::open`].
     pub fn open(path: &Path) -> Result<Self, RecordingError> {
-        let about = Reader::open(path)?.about().clone();
+        let about = RecordingReader::open(path)?.about().clone();
         let path = path.to_owned();
         let failed = |error| RecordingError::File { path: path.clone(), error };
         let file = File::open(&path).map_err(failed)?;
@@ -130,11 +127,8 @@ impl IndexedRecording {
         self.chunks.partition_point(|chunk| chunk.first_ns <= utc_ns).saturating_sub(1)
     }
 
-    /// The messages of a chunk whose channels are wanted, in the order in which they were recorded. There is nothing
-    /// in chunks that do not exist.
-    ///
-    /// # Errors
-    /// [`RecordingError::File`], [`RecordingError::Damaged`].
+    /// The messages of a chunk whose channels are wanted, in the order in which they were recorded.
+    /// There is nothing in chunks that do not exist.
     pub fn messages(
         &self,
         chunk: usize,
@@ -184,7 +178,8 @@ impl IndexedRecording {
         }
     }
 
-    /// Reads the index at the end of the file. False where there is none, or one that cannot be believed.
+    /// Reads the index at the end of the file. False where there is none, or one that cannot be
+    /// believed.
     fn read_index(&mut self, bytes: u64) -> bool {
         let Some(summary) = self.summary(bytes) else { return false };
         let of_channel = |channel: &Arc<mcap::Channel<'_>>| {

@@ -1,65 +1,9 @@
 //! Where each field of a topic's messages lies: the contract's description, looked up once.
 
-use flockeye_contract::description::{Kind, TypeDescription, topics, types};
+use std::sync::Arc;
 
-/// A number, by its name in Rust, and its bytes.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Number {
-    /// Its name in Rust.
-    pub name: &'static str,
-    /// Bytes.
-    pub size: usize,
-}
-
-impl Number {
-    /// Its value as text, from its bytes, little-endian: shortest, but exact.
-    pub fn show(&self, bytes: &[u8]) -> String {
-        let mut wide = [0; 8];
-        let length = bytes.len().min(8);
-        wide[..length].copy_from_slice(&bytes[..length]);
-        let number = u64::from_le_bytes(wide);
-        match self.name {
-            "i64" => number.cast_signed().to_string(),
-            "f64" => format!("{:?}", f64::from_bits(number)),
-            // A number of 32 bits lies in the first four bytes.
-            "f32" => format!("{:?}", f32::from_bits(number as u32)),
-            _ => number.to_string(),
-        }
-    }
-}
-
-/// What a field is.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub enum Shape {
-    /// An array of this many numbers; `None`: a single number.
-    Numbers(Number, Option<usize>),
-    /// A text in so many bytes, filled up with zero bytes.
-    Text(usize),
-    /// A type of the contract.
-    Object(Object),
-}
-
-/// A field of a type.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Member {
-    /// Its name.
-    pub name: &'static str,
-    /// Offset of the field in its type, bytes.
-    pub offset: usize,
-    /// What it is.
-    pub shape: Shape,
-}
-
-/// A type of the contract.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Object {
-    /// Its name in Rust.
-    pub name: &'static str,
-    /// Bytes.
-    pub size: usize,
-    /// Its fields, in their order in memory.
-    pub members: Vec<Member>,
-}
+use flockeye_contract::description::{Kind, TypeDescription, types};
+use flockeye_contract::{TOPICS, TopicInfo};
 
 /// A topic's messages.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -67,27 +11,42 @@ pub struct TopicLayout {
     /// Name of the topic.
     pub service: &'static str,
     /// The header.
-    pub header: Object,
+    pub header: TypeDescription,
     /// What the payload is a slice of; `None`: bytes, such as pixels.
-    pub item: Option<Object>,
+    pub item: Option<TypeDescription>,
+    /// The contract's types: fields name those that they are of.
+    types: Arc<Vec<TypeDescription>>,
 }
 
 /// The layouts of all topics, in the order of the dataflow.
 pub fn layouts() -> Vec<TopicLayout> {
-    let types = types();
-    let item = |kind: &Kind| match kind {
-        Kind::Type(name) => Some(object(&types, name)),
-        _ => None,
+    let types = Arc::new(types());
+    // A test of the contract checks that topics and fields name types that are described.
+    let described = |name: &str| types.iter().find(|known| known.name == name).cloned();
+    let layout = |topic: &TopicInfo| {
+        let (service, types) = (topic.name, types.clone());
+        let (header, item) = (described(topic.header)?, described(topic.item));
+        Some(TopicLayout { service, header, item, types })
     };
-    let layout = |topic: flockeye_contract::description::TopicDescription| TopicLayout {
-        service: topic.service,
-        header: object(&types, topic.header),
-        item: item(&topic.item),
-    };
-    topics().into_iter().map(layout).collect()
+    TOPICS.iter().filter_map(layout).collect()
 }
 
 impl TopicLayout {
+    /// A type that a field names.
+    pub(crate) fn type_named(&self, name: &str) -> Option<&TypeDescription> {
+        self.types.iter().find(|known| known.name == name)
+    }
+
+    /// Bytes of a field in shared memory.
+    pub(crate) fn size_of(&self, kind: &Kind) -> usize {
+        match kind {
+            Kind::Number(name) => number_size(name),
+            Kind::Array(inner, count) => count * self.size_of(inner),
+            Kind::Text(bytes) => *bytes,
+            Kind::Type(name) => self.type_named(name).map_or(0, |described| described.size),
+        }
+    }
+
     /// The name of its channel in a recording.
     pub fn channel(&self) -> String {
         format!("/{}", self.service)
@@ -106,56 +65,40 @@ impl TopicLayout {
     }
 }
 
-fn object(types: &[TypeDescription], name: &str) -> Object {
-    // A test of the contract checks that topics and fields name types that are described.
-    let Some(described) = types.iter().find(|known| known.name == name) else {
-        return Object { name: "", size: 0, members: Vec::new() };
-    };
-    let member = |field: &flockeye_contract::description::Field| Member {
-        name: field.name,
-        offset: field.offset,
-        shape: shape(types, &field.kind),
-    };
-    Object {
-        name: described.name,
-        size: described.size,
-        members: described.fields.iter().map(member).collect(),
-    }
-}
-
-fn shape(types: &[TypeDescription], kind: &Kind) -> Shape {
-    match kind {
-        Kind::Number(name) => Shape::Numbers(number(name), None),
-        // Rows of rows are one array in ROS: the same bytes.
-        Kind::Array(inner, count) => match shape(types, inner) {
-            Shape::Numbers(number, inner) => {
-                Shape::Numbers(number, Some(count * inner.unwrap_or(1)))
-            }
-            // The contract has arrays of numbers alone: `every_byte_of_a_message_has_its_place` checks it.
-            other => other,
-        },
-        Kind::Text(bytes) => Shape::Text(*bytes),
-        Kind::Type(name) => Shape::Object(object(types, name)),
-    }
-}
-
-fn number(name: &'static str) -> Number {
-    let size = match name {
+/// Bytes of a number with this name in Rust.
+pub fn number_size(name: &str) -> usize {
+    match name {
         "u8" => 1,
         "u32" | "f32" => 4,
         _ => 8,
-    };
-    Number { name, size }
+    }
 }
 
-impl Shape {
-    /// Bytes in shared memory.
-    pub fn size(&self) -> usize {
-        match self {
-            Self::Numbers(number, count) => number.size * count.unwrap_or(1),
-            Self::Text(bytes) => *bytes,
-            Self::Object(object) => object.size,
+/// The value of a number as text, from its bytes, little-endian: shortest, but exact.
+pub fn number_text(name: &str, bytes: &[u8]) -> String {
+    let mut wide = [0; 8];
+    let length = bytes.len().min(8);
+    wide[..length].copy_from_slice(&bytes[..length]);
+    let number = u64::from_le_bytes(wide);
+    match name {
+        "i64" => number.cast_signed().to_string(),
+        "f64" => format!("{:?}", f64::from_bits(number)),
+        // A number of 32 bits lies in the first four bytes.
+        "f32" => format!("{:?}", f32::from_bits(number as u32)),
+        _ => number.to_string(),
+    }
+}
+
+/// The numbers that a field is: their name in Rust and, of an array, their count. Rows of rows are
+/// one array in ROS: the same bytes.
+pub(crate) fn numbers_of(kind: &Kind) -> Option<(&'static str, Option<usize>)> {
+    match kind {
+        Kind::Number(name) => Some((name, None)),
+        Kind::Array(inner, count) => {
+            let (name, inner) = numbers_of(inner)?;
+            Some((name, Some(count * inner.unwrap_or(1))))
         }
+        Kind::Text(_) | Kind::Type(_) => None,
     }
 }
 
@@ -166,22 +109,24 @@ mod tests {
     /// What has no place in a layout would be lost from recordings.
     #[test]
     fn every_byte_of_a_message_has_its_place() {
-        fn check(object: &Object) {
+        fn check(layout: &TopicLayout, described: &TypeDescription) {
             let mut end = 0;
-            for member in &object.members {
-                assert_eq!(member.offset, end, "{}.{}", object.name, member.name);
-                end += member.shape.size();
-                if let Shape::Object(inner) = &member.shape {
-                    check(inner);
+            for field in &described.fields {
+                assert_eq!(field.offset, end, "{}.{}", described.name, field.name);
+                end += layout.size_of(&field.kind);
+                match &field.kind {
+                    Kind::Type(name) => check(layout, layout.type_named(name).unwrap()),
+                    Kind::Number(_) | Kind::Array(..) => assert!(numbers_of(&field.kind).is_some()),
+                    Kind::Text(_) => {}
                 }
             }
-            assert_eq!((end, object.size > 0), (object.size, true), "{}", object.name);
+            assert_eq!((end, described.size > 0), (described.size, true), "{}", described.name);
         }
         let all = layouts();
         assert_eq!(all.len(), flockeye_contract::TOPICS.len());
         for (layout, topic) in all.iter().zip(flockeye_contract::TOPICS) {
-            check(&layout.header);
-            layout.item.iter().for_each(check);
+            check(layout, &layout.header);
+            layout.item.iter().for_each(|item| check(layout, item));
             assert_eq!(layout.header.size, topic.header_bytes, "{}", topic.name);
             assert_eq!(layout.item.as_ref().map_or(1, |item| item.size), topic.item_bytes);
         }

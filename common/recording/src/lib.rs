@@ -1,8 +1,9 @@
-//! Recordings: MCAP files of all messages of a pipeline, which the tools of ROS 2 and Foxglove read.
+//! Recordings: MCAP files of all messages of a pipeline, which the tools of ROS 2 and Foxglove
+//! read.
 //!
-//! Each topic of the contract is a channel. Its messages are ROS 2 messages whose definitions follow from the
-//! contract's own description, and stand in the file. CDR keeps every bit of every number, so the message of
-//! the contract is read back byte by byte.
+//! Each topic of the contract is a channel. Its messages are ROS 2 messages whose definitions
+//! follow from the contract's own description, and stand in the file. CDR keeps every bit of every
+//! number, so the message of the contract is read back byte by byte.
 //!
 //! | module | what it has |
 //! | --- | --- |
@@ -46,5 +47,5 @@ pub use error::RecordingError;
 pub use indexed::{ChunkPlace, IndexedMessage, IndexedRecording};
 pub use layout::{TopicLayout, layouts};
 pub use message::ContractMessage;
-pub use reader::{Ending, Reader, RecordedMessage};
+pub use reader::{Ending, RecordedMessage, RecordingReader};
 pub use writer::{About, RecordingWriter};

@@ -11,8 +11,8 @@ pub struct Loss {
     pub recorded: u64,
     /// Messages that broke the contract.
     pub refused: u64,
-    /// Numbers that are missing among those that rise by one: of frames (lost, or never sent), packets, plans and
-    /// journals.
+    /// Numbers that are missing among those that rise by one: of frames (lost, or never sent),
+    /// packets, plans and journals.
     pub missing: u64,
     /// How often a topic's buffer was found full, so that messages may have been lost.
     pub buffer_full: u64,
@@ -46,9 +46,6 @@ pub fn encode_loss(topic: &str, loss: &Loss) -> Vec<u8> {
 }
 
 /// The topic, and what is lost of it.
-///
-/// # Errors
-/// [`RecordingError::Message`] where the bytes are not those of such a message.
 pub fn decode_loss(message: &[u8]) -> Result<(String, Loss), RecordingError> {
     let decode = || -> Result<(String, Loss), String> {
         let mut cdr = CdrReader::new(message)?;

@@ -1,24 +1,24 @@
 //! Messages of the contract as ROS 2 messages, and back, byte by byte.
 
+use flockeye_contract::description::{Kind, TypeDescription};
+
 use crate::cdr::{CdrReader, CdrWriter};
 use crate::error::RecordingError;
-use crate::layout::{Object, Shape, TopicLayout};
+use crate::layout::{TopicLayout, number_size, number_text, numbers_of};
 
 /// A message of the contract as it lies in shared memory.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct ContractMessage {
     /// The header's bytes.
     pub header: Vec<u8>,
-    /// The items' bytes. Empty where the payload is bytes, such as pixels, which are recorded apart.
+    /// The items' bytes. Empty where the payload is bytes, such as pixels, which are recorded
+    /// apart.
     pub items: Vec<u8>,
     /// How many bytes a payload of bytes has.
     pub payload_bytes: u64,
 }
 
 /// The ROS 2 message of a topic's message.
-///
-/// # Errors
-/// [`RecordingError::Message`] where the bytes are not those of the topic's types.
 pub fn encode(layout: &TopicLayout, message: &ContractMessage) -> Result<Vec<u8>, RecordingError> {
     let refused = |reason: String| RecordingError::Message { channel: layout.channel(), reason };
     if message.header.len() != layout.header.size {
@@ -26,7 +26,7 @@ pub fn encode(layout: &TopicLayout, message: &ContractMessage) -> Result<Vec<u8>
         return Err(refused(format!("has a header of {found} bytes, not {wanted}")));
     }
     let mut cdr = CdrWriter::with_capacity(message.header.len() + message.items.len() + 64);
-    write(&mut cdr, &layout.header, &message.header);
+    write(&mut cdr, layout, &layout.header, &message.header);
     match &layout.item {
         None => cdr.numbers(8, &message.payload_bytes.to_le_bytes()),
         Some(item) => {
@@ -35,21 +35,20 @@ pub fn encode(layout: &TopicLayout, message: &ContractMessage) -> Result<Vec<u8>
                 return Err(refused(format!("has {found} bytes of items of {size} bytes each")));
             }
             cdr.length(message.items.len() / item.size);
-            message.items.chunks_exact(item.size).for_each(|bytes| write(&mut cdr, item, bytes));
+            for bytes in message.items.chunks_exact(item.size) {
+                write(&mut cdr, layout, item, bytes);
+            }
         }
     }
     Ok(cdr.finish())
 }
 
 /// The message of the contract that [`encode`] was given.
-///
-/// # Errors
-/// [`RecordingError::Message`] where the bytes are not those of such a message.
 pub fn decode(layout: &TopicLayout, message: &[u8]) -> Result<ContractMessage, RecordingError> {
     let refused = |reason: String| RecordingError::Message { channel: layout.channel(), reason };
     let mut cdr = CdrReader::new(message).map_err(refused)?;
     let mut found = ContractMessage::default();
-    read(&mut cdr, &layout.header, &mut found.header).map_err(refused)?;
+    read(&mut cdr, layout, &layout.header, &mut found.header).map_err(refused)?;
     match &layout.item {
         None => {
             let bytes = cdr.numbers(8, 1).map_err(refused)?;
@@ -60,7 +59,7 @@ pub fn decode(layout: &TopicLayout, message: &[u8]) -> Result<ContractMessage, R
             let count = cdr.u32().map_err(refused)?;
             // Each item takes bytes of the message, so a count that lies ends at the message's end.
             for _ in 0..count {
-                read(&mut cdr, item, &mut found.items).map_err(refused)?;
+                read(&mut cdr, layout, item, &mut found.items).map_err(refused)?;
             }
         }
     }
@@ -71,14 +70,14 @@ pub fn decode(layout: &TopicLayout, message: &[u8]) -> Result<ContractMessage, R
     Ok(found)
 }
 
-/// Where two messages of a topic differ first, field by field, with both values; `None`: they are the same,
-/// bit by bit.
+/// Where two messages of a topic differ first, field by field, with both values; `None`: they are
+/// the same, bit by bit.
 pub fn first_difference(
     layout: &TopicLayout,
     one: &ContractMessage,
     other: &ContractMessage,
 ) -> Option<String> {
-    let header = difference(&layout.header, &one.header, &other.header);
+    let header = difference(layout, &layout.header, &one.header, &other.header);
     if let Some((field, [one, other])) = header {
         return Some(format!("header.{field}: {one} and {other}"));
     }
@@ -90,76 +89,94 @@ pub fn first_difference(
     let item = layout.item.as_ref()?;
     let pairs = one.items.chunks_exact(size).zip(other.items.chunks_exact(size));
     pairs.enumerate().find_map(|(index, (one, other))| {
-        let (field, [one, other]) = difference(item, one, other)?;
+        let (field, [one, other]) = difference(layout, item, one, other)?;
         Some(format!("items[{index}].{field}: {one} and {other}"))
     })
 }
 
 /// The first field in which two values of a type differ, and both values.
-fn difference(object: &Object, one: &[u8], other: &[u8]) -> Option<(String, [String; 2])> {
-    object.members.iter().find_map(|member| {
-        let field = |bytes: &'_ [u8]| -> Vec<u8> {
-            let end = member.offset + member.shape.size();
-            bytes.get(member.offset..end).unwrap_or_default().to_vec()
-        };
-        let (one, other) = (field(one), field(other));
+fn difference(
+    layout: &TopicLayout,
+    described: &TypeDescription,
+    one: &[u8],
+    other: &[u8],
+) -> Option<(String, [String; 2])> {
+    described.fields.iter().find_map(|field| {
+        let end = field.offset + layout.size_of(&field.kind);
+        let [one, other] =
+            [one, other].map(|bytes| bytes.get(field.offset..end).unwrap_or_default());
         if one == other {
             return None;
         }
-        let name = member.name;
-        match &member.shape {
-            Shape::Object(inner) => {
-                let (field, values) = difference(inner, &one, &other)?;
-                Some((format!("{name}.{field}"), values))
-            }
-            Shape::Text(_) => {
-                let shown =
-                    |bytes: &[u8]| String::from_utf8_lossy(bytes).trim_end_matches('\0').to_owned();
-                Some((name.to_owned(), [shown(&one), shown(&other)]))
-            }
-            Shape::Numbers(number, count) => {
-                let pairs = one.chunks(number.size).zip(other.chunks(number.size));
-                let (index, (one, other)) =
-                    pairs.enumerate().find(|(_, (one, other))| one != other)?;
-                let place = count.map(|_| format!("[{index}]")).unwrap_or_default();
-                Some((format!("{name}{place}"), [number.show(one), number.show(other)]))
-            }
+        let name = field.name;
+        if let Kind::Type(inner) = &field.kind {
+            let (field, values) = difference(layout, layout.type_named(inner)?, one, other)?;
+            return Some((format!("{name}.{field}"), values));
         }
+        let Some((number, count)) = numbers_of(&field.kind) else {
+            let shown =
+                |bytes: &[u8]| String::from_utf8_lossy(bytes).trim_end_matches('\0').to_owned();
+            return Some((name.to_owned(), [shown(one), shown(other)]));
+        };
+        let size = number_size(number);
+        let pairs = one.chunks(size).zip(other.chunks(size));
+        let (index, (one, other)) = pairs.enumerate().find(|(_, (one, other))| one != other)?;
+        let place = count.map(|_| format!("[{index}]")).unwrap_or_default();
+        Some((format!("{name}{place}"), [number_text(number, one), number_text(number, other)]))
     })
 }
 
-fn write(cdr: &mut CdrWriter, object: &Object, bytes: &[u8]) {
-    for member in &object.members {
-        // `encode` has checked the size of the whole, and the members fill it.
-        let field = bytes.get(member.offset..member.offset + member.shape.size());
-        let field = field.unwrap_or_default();
-        match &member.shape {
-            Shape::Numbers(number, _) => cdr.numbers(number.size, field),
-            Shape::Text(_) => {
-                let end = field.iter().rposition(|&byte| byte != 0).map_or(0, |last| last + 1);
-                cdr.text(&field[..end]);
+fn write(cdr: &mut CdrWriter, layout: &TopicLayout, described: &TypeDescription, bytes: &[u8]) {
+    for field in &described.fields {
+        // `encode` has checked the size of the whole, and the fields fill it.
+        let bytes = bytes.get(field.offset..field.offset + layout.size_of(&field.kind));
+        let bytes = bytes.unwrap_or_default();
+        match &field.kind {
+            Kind::Text(_) => {
+                let end = bytes.iter().rposition(|&byte| byte != 0).map_or(0, |last| last + 1);
+                cdr.text(&bytes[..end]);
             }
-            Shape::Object(inner) => write(cdr, inner, field),
+            Kind::Type(name) => {
+                if let Some(inner) = layout.type_named(name) {
+                    write(cdr, layout, inner, bytes);
+                }
+            }
+            kind @ (Kind::Number(_) | Kind::Array(..)) => {
+                if let Some((number, _)) = numbers_of(kind) {
+                    cdr.numbers(number_size(number), bytes);
+                }
+            }
         }
     }
 }
 
-fn read(cdr: &mut CdrReader<'_>, object: &Object, bytes: &mut Vec<u8>) -> Result<(), String> {
-    for member in &object.members {
-        match &member.shape {
-            Shape::Numbers(number, count) => {
-                bytes.extend_from_slice(cdr.numbers(number.size, count.unwrap_or(1))?);
-            }
-            Shape::Text(size) => {
+fn read(
+    cdr: &mut CdrReader<'_>,
+    layout: &TopicLayout,
+    described: &TypeDescription,
+    bytes: &mut Vec<u8>,
+) -> Result<(), String> {
+    for field in &described.fields {
+        match &field.kind {
+            Kind::Text(size) => {
                 let text = cdr.text()?;
                 if text.len() > *size {
-                    let (name, length) = (member.name, text.len());
+                    let (name, length) = (field.name, text.len());
                     return Err(format!("has {length} bytes of {name}, where {size} fit"));
                 }
                 bytes.extend_from_slice(text);
                 bytes.resize(bytes.len() + size - text.len(), 0);
             }
-            Shape::Object(inner) => read(cdr, inner, bytes)?,
+            Kind::Type(name) => {
+                if let Some(inner) = layout.type_named(name) {
+                    read(cdr, layout, inner, bytes)?;
+                }
+            }
+            kind @ (Kind::Number(_) | Kind::Array(..)) => {
+                if let Some((number, count)) = numbers_of(kind) {
+                    bytes.extend_from_slice(cdr.numbers(number_size(number), count.unwrap_or(1))?);
+                }
+            }
         }
     }
     Ok(())

@@ -4,9 +4,10 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use crate::RecordingError;
-use crate::reader::Reader;
+use crate::reader::RecordingReader;
 
-/// The file that follows one of a recording that was split, if it is there: `flight.mcap`, `flight-1.mcap` and so on.
+/// The file that follows one of a recording that was split, if it is there: `flight.mcap`,
+/// `flight-1.mcap` and so on.
 fn next(path: &Path, metadata: &BTreeMap<String, String>) -> Option<PathBuf> {
     let number: u64 = metadata.get("file")?.parse().ok()?;
     let stem = path.file_stem()?.to_str()?;
@@ -19,11 +20,11 @@ fn next(path: &Path, metadata: &BTreeMap<String, String>) -> Option<PathBuf> {
     next.is_file().then_some(next)
 }
 
-impl Reader {
+impl RecordingReader {
     /// The file that goes on where this one ends, if the recording was split.
     ///
     /// # Errors
-    /// It is there and cannot be read: as [`Reader::open`].
+    /// It is there and cannot be read: as [`RecordingReader::open`].
     pub fn next_part(&self) -> Result<Option<Self>, RecordingError> {
         let Some(path) = next(self.path(), &self.about().metadata) else { return Ok(None) };
         let reader = Self::open(&path)?;
@@ -32,9 +33,10 @@ impl Reader {
 }
 
 /// Whether one file goes on where another ends.
-fn is_same_flight(one: &Reader, next: &Reader) -> bool {
-    let about = |reader: &Reader, key: &str| reader.about().metadata.get(key).cloned();
-    let number = |reader: &Reader| about(reader, "file").and_then(|text| text.parse::<u64>().ok());
+fn is_same_flight(one: &RecordingReader, next: &RecordingReader) -> bool {
+    let about = |reader: &RecordingReader, key: &str| reader.about().metadata.get(key).cloned();
+    let number =
+        |reader: &RecordingReader| about(reader, "file").and_then(|text| text.parse::<u64>().ok());
     let is_next = number(one).zip(number(next)).is_some_and(|(one, next)| next == one + 1);
     let keys = ["instance", "observer", "utc_from_monotonic_ns", "utc_from_exposure_ns"];
     is_next && keys.iter().all(|key| about(one, key) == about(next, key))

@@ -1,18 +1,15 @@
 //! Neighbours' poses and transforms of a message of tracks.
 
 use flockeye_contract::{Pose, Track, TrackState};
-use flockeye_ros2::messages::{Message, TfMessage, TransformStamped};
-use flockeye_ros2::{NeighbourPose, RelativePose, ros_name};
+use flockeye_ros2::messages::{Ros2Message, TfMessage, TransformStamped};
+use flockeye_ros2::{RelativePose, ros_name};
 
 use crate::channel::ChannelKind;
 use crate::error::RecordingError;
 
-/// The poses of a message of tracks, each with its channel, and the transforms of all. `stamp_utc_ns` is
-/// mid-exposure, nanoseconds since the Unix epoch; `observer` is this drone's name. Tracks that have ended, and what
-/// is no pose, are left out.
-///
-/// # Errors
-/// [`RecordingError::Ros2`] where a message cannot be encoded.
+/// The poses of a message of tracks, each with its channel, and the transforms of all.
+/// `stamp_utc_ns` is mid-exposure, nanoseconds since the Unix epoch; `observer` is this drone's
+/// name. Tracks that have ended, and what is no pose, are left out.
 pub fn of_tracks(
     tracks: &[Track],
     stamp_utc_ns: i64,
@@ -22,12 +19,13 @@ pub fn of_tracks(
     let mut messages = Vec::with_capacity(tracks.len() + 1);
     let mut transforms: Vec<TransformStamped> = Vec::with_capacity(tracks.len());
     for track in tracks.iter().filter(|track| track.state != TrackState::Lost.code()) {
-        let target = track.name.to_string();
+        let name = track.name.to_string();
+        let in_ros = ros_name(&name);
         let Pose { position, orientation } = track.observer_from_target;
-        let pose =
-            RelativePose { stamp_utc_ns, position, orientation, covariance: track.covariance };
-        let in_ros = ros_name(&target);
-        let Ok((pose, transform)) = (NeighbourPose { target, pose }).messages(&observer, &in_ros)
+        let covariance = track.covariance;
+        let seen = RelativePose { name, stamp_utc_ns, position, orientation, covariance };
+        let (Ok(pose), Ok(transform)) =
+            (seen.message(&observer), seen.transform(&observer, &in_ros))
         else {
             continue;
         };

@@ -43,7 +43,7 @@ pub enum Ending {
 }
 
 /// A recording that is being read.
-pub struct Reader {
+pub struct RecordingReader {
     path: PathBuf,
     file: File,
     linear: LinearReader,
@@ -60,14 +60,14 @@ pub struct Reader {
 }
 
 /// What a record was.
-enum Found {
+enum ReadRecord {
     Message(RecordedMessage),
     Beginning,
     Other,
     End(Ending),
 }
 
-impl Reader {
+impl RecordingReader {
     /// Opens a recording and reads what it says of itself.
     ///
     /// # Errors
@@ -116,24 +116,21 @@ impl Reader {
         &self.about
     }
 
-    /// How it ends, once [`Reader::next_message`] has given the last message.
+    /// How it ends, once [`RecordingReader::next_message`] has given the last message.
     pub fn ending(&self) -> Option<Ending> {
         self.ending
     }
 
     /// The next message, in the order in which they were recorded; `None` at the end.
-    ///
-    /// # Errors
-    /// [`RecordingError::File`] and [`RecordingError::Damaged`].
     pub fn next_message(&mut self) -> Result<Option<RecordedMessage>, RecordingError> {
         if let Some(first) = self.first.take() {
             return first.map(Some);
         }
         while self.ending.is_none() {
             match self.next_record()? {
-                Found::Message(message) => return Ok(Some(message)),
-                Found::End(ending) => self.ending = Some(ending),
-                Found::Beginning | Found::Other => {}
+                ReadRecord::Message(message) => return Ok(Some(message)),
+                ReadRecord::End(ending) => self.ending = Some(ending),
+                ReadRecord::Beginning | ReadRecord::Other => {}
             }
         }
         Ok(None)
@@ -143,10 +140,10 @@ impl Reader {
         let mut is_known = false;
         loop {
             match self.next_record() {
-                Ok(Found::Beginning) => is_known = true,
-                Ok(Found::Other) => {}
-                Ok(Found::Message(message)) => self.first = Some(Ok(message)),
-                Ok(Found::End(ending)) => self.ending = Some(ending),
+                Ok(ReadRecord::Beginning) => is_known = true,
+                Ok(ReadRecord::Other) => {}
+                Ok(ReadRecord::Message(message)) => self.first = Some(Ok(message)),
+                Ok(ReadRecord::End(ending)) => self.ending = Some(ending),
                 // What the recording says of itself is known all the same.
                 Err(damage) if is_known => self.first = Some(Err(damage)),
                 Err(damage) => return Err(damage),
@@ -166,7 +163,7 @@ impl Reader {
         Err(RecordingError::Foreign { path, reason })
     }
 
-    fn next_record(&mut self) -> Result<Found, RecordingError> {
+    fn next_record(&mut self) -> Result<ReadRecord, RecordingError> {
         let in_chunk = self.chunk.next_record();
         let in_chunk = in_chunk.map_err(|reason| damaged(&self.path, self.read, &reason))?;
         if let Some(record) = in_chunk {
@@ -174,7 +171,7 @@ impl Reader {
         }
         loop {
             let outcome = match self.linear.next_event() {
-                None => return Ok(Found::End(Ending::Whole)),
+                None => return Ok(ReadRecord::End(Ending::Whole)),
                 Some(Ok(LinearReadEvent::ReadRequest(wanted))) => Ok(wanted),
                 Some(Ok(LinearReadEvent::Record { opcode, data })) => {
                     // A record of this kind is none: the rest of a file that a crash left as zeros.
@@ -195,7 +192,7 @@ impl Reader {
             match outcome {
                 Ok(wanted) => self.fill(wanted)?,
                 Err(Ok(record)) => return self.understand(record),
-                Err(Err(McapError::UnexpectedEof)) => return Ok(Found::End(Ending::Cut)),
+                Err(Err(McapError::UnexpectedEof)) => return Ok(ReadRecord::End(Ending::Cut)),
                 Err(Err(McapError::BadMagic)) if self.read <= mcap::MAGIC.len() as u64 => {
                     return Err(RecordingError::NotMcap { path: self.path.clone() });
                 }
@@ -221,7 +218,7 @@ impl Reader {
         Ok(())
     }
 
-    fn understand(&mut self, record: Record<'static>) -> Result<Found, RecordingError> {
+    fn understand(&mut self, record: Record<'static>) -> Result<ReadRecord, RecordingError> {
         match record {
             Record::Schema { header, data } => {
                 let definition = String::from_utf8_lossy(&data).into_owned();
@@ -239,7 +236,7 @@ impl Reader {
                     let reason = format!("a message of the unknown channel {}", header.channel_id);
                     return Err(damaged(&self.path, self.read, &reason));
                 };
-                return Ok(Found::Message(RecordedMessage {
+                return Ok(ReadRecord::Message(RecordedMessage {
                     channel: channel.clone(),
                     sequence: header.sequence,
                     utc_ns: header.log_time,
@@ -256,17 +253,17 @@ impl Reader {
                 let offset = offset.and_then(|text| text.parse().ok());
                 self.about.utc_from_monotonic_ns = offset.unwrap_or(0);
                 self.about.metadata = metadata.metadata;
-                return Ok(Found::Beginning);
+                return Ok(ReadRecord::Beginning);
             }
-            // Only what stands before the messages says something of the recording. What others have added behind
-            // them may be of any size and number.
+            // Only what stands before the messages says something of the recording. What others
+            // have added behind them may be of any size and number.
             Record::Attachment { header, data, .. } if !self.has_messages => {
                 let attached = (header.name, header.media_type, data.into_owned());
                 self.about.attachments.push(attached);
             }
             _ => {}
         }
-        Ok(Found::Other)
+        Ok(ReadRecord::Other)
     }
 }
 

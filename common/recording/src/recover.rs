@@ -4,7 +4,7 @@ use std::path::Path;
 
 use crate::error::RecordingError;
 use crate::file::RecordingFile;
-use crate::reader::{Ending, Reader};
+use crate::reader::{Ending, RecordingReader};
 use crate::writer::RecordingWriter;
 
 /// What was recovered.
@@ -19,11 +19,8 @@ pub struct Recovered {
 }
 
 /// Copies what can be read of the recording `from` to a new one, `to`, with an index.
-///
-/// # Errors
-/// `from` is no recording at all, or `to` cannot be written.
 pub fn recover(from: &Path, to: &Path) -> Result<Recovered, RecordingError> {
-    let mut reader = Reader::open(from)?;
+    let mut reader = RecordingReader::open(from)?;
     let mut writer = RecordingWriter::begin(RecordingFile::create(to)?, reader.about())?;
     let mut messages = 0;
     let damage = loop {

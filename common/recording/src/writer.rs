@@ -1,7 +1,8 @@
 //! Writes a recording.
 //!
-//! The MCAP library writes to memory, and only whole records go from there to the file. So a write that fails
-//! never leaves the library in an unknown state, and what is in the file can always be read.
+//! The MCAP library writes to memory, and only whole records go from there to the file. So a write
+//! that fails never leaves the library in an unknown state, and what is in the file can always be
+//! read.
 
 use std::collections::BTreeMap;
 use std::io::Write;
@@ -18,7 +19,8 @@ use crate::file::RecordingFile;
 /// The name of the metadata that every recording begins with.
 pub(crate) const METADATA: &str = "flockeye";
 
-/// The largest message, bytes: a frame of 8192x8192 pixels. Readers refuse larger ones, before they take memory.
+/// The largest message, bytes: a frame of 8192x8192 pixels. Readers refuse larger ones, before they
+/// take memory.
 pub const LARGEST_MESSAGE: usize = 67_108_864;
 
 /// A chunk is ended once it has so many bytes before compression.
@@ -62,21 +64,13 @@ pub struct RecordingWriter {
     mcap: Writer<NoSeek<Spool>>,
     spool: Spool,
     file: RecordingFile,
-    channels: BTreeMap<ChannelKind, Channel>,
+    /// Number of each channel, and of its next message.
+    channels: BTreeMap<ChannelKind, (u16, u32)>,
     utc_from_monotonic_ns: i64,
-}
-
-#[derive(Debug, Clone, Copy)]
-struct Channel {
-    id: u16,
-    next_sequence: u32,
 }
 
 impl RecordingWriter {
     /// Begins a recording.
-    ///
-    /// # Errors
-    /// [`RecordingError::File`], [`RecordingError::DiskFull`].
     pub fn begin(file: RecordingFile, about: &About) -> Result<Self, RecordingError> {
         let spool = Spool::default();
         let options = WriteOptions::new()
@@ -112,8 +106,9 @@ impl RecordingWriter {
     /// Writes a message that came at `at_ns`, CLOCK_MONOTONIC. Returns its number in its channel.
     ///
     /// # Errors
-    /// [`RecordingError::DiskFull`]: end the recording; [`RecordingError::File`]: what was written before is in
-    /// the file. [`RecordingError::Message`] for one that is too large, after which the recording goes on.
+    /// [`RecordingError::DiskFull`]: end the recording; [`RecordingError::File`]: what was written
+    /// before is in the file. [`RecordingError::Message`] for one that is too large, after which
+    /// the recording goes on.
     pub fn write(
         &mut self,
         kind: &ChannelKind,
@@ -122,15 +117,12 @@ impl RecordingWriter {
     ) -> Result<u32, RecordingError> {
         let utc_ns = at_ns.saturating_add(self.utc_from_monotonic_ns);
         let utc_ns = u64::try_from(utc_ns).unwrap_or(0);
-        let sequence = self.channels.get(kind).map_or(0, |channel| channel.next_sequence);
+        let sequence = self.channels.get(kind).map_or(0, |(_, next)| *next);
         self.write_as(kind, sequence, utc_ns, message)?;
         Ok(sequence)
     }
 
     /// Writes a message with this number in its channel, and this time, UTC nanoseconds.
-    ///
-    /// # Errors
-    /// As [`RecordingWriter::write`].
     pub fn write_as(
         &mut self,
         kind: &ChannelKind,
@@ -144,9 +136,9 @@ impl RecordingWriter {
             return Err(RecordingError::Message { channel, reason });
         }
         let channel_id = match self.channels.get_mut(kind) {
-            Some(channel) => {
-                channel.next_sequence = sequence.wrapping_add(1);
-                channel.id
+            Some((id, next)) => {
+                *next = sequence.wrapping_add(1);
+                *id
             }
             None => self.add(kind, sequence)?,
         };
@@ -158,15 +150,12 @@ impl RecordingWriter {
     fn add(&mut self, kind: &ChannelKind, sequence: u32) -> Result<u16, RecordingError> {
         let schema = self.mcap.add_schema(&kind.message, "ros2msg", kind.definition.as_bytes())?;
         let id = self.mcap.add_channel(schema, &kind.topic, "cdr", &BTreeMap::new())?;
-        let next_sequence = sequence.wrapping_add(1);
-        self.channels.insert(kind.clone(), Channel { id, next_sequence });
+        self.channels.insert(kind.clone(), (id, sequence.wrapping_add(1)));
         Ok(id)
     }
 
-    /// Ends the chunk, and waits until the disk has it: a crash later loses nothing of what came before.
-    ///
-    /// # Errors
-    /// As [`RecordingWriter::write`].
+    /// Ends the chunk, and waits until the disk has it: a crash later loses nothing of what came
+    /// before.
     pub fn flush(&mut self) -> Result<(), RecordingError> {
         self.mcap.flush()?;
         self.move_to_file()?;
@@ -205,7 +194,8 @@ impl RecordingWriter {
             return Ok(());
         }
         match self.file.append(&bytes) {
-            // There is room for what is here already, and for the end: both are written by `finish`.
+            // There is room for what is here already, and for the end: both are written by
+            // `finish`.
             Err(error @ RecordingError::DiskFull { .. }) => {
                 self.spool.clone().write_all(&bytes).ok();
                 Err(error)

@@ -11,7 +11,7 @@ use flockeye_recording::file::RecordingFile;
 use flockeye_recording::message::{decode, encode};
 use flockeye_recording::recover::recover;
 use flockeye_recording::{
-    About, ChannelKind, ContractMessage, Ending, IndexedRecording, Reader, RecordingError,
+    About, ChannelKind, ContractMessage, Ending, IndexedRecording, RecordingError, RecordingReader,
     RecordingWriter, TopicLayout, layouts,
 };
 
@@ -53,7 +53,7 @@ fn record(path: &Path, chunks: u64, is_ended: bool) {
 
 /// What can be read, and how it ends.
 fn read(path: &Path) -> Result<(Vec<ContractMessage>, Ending), RecordingError> {
-    let mut reader = Reader::open(path)?;
+    let mut reader = RecordingReader::open(path)?;
     let mut found = Vec::new();
     while let Some(message) = reader.next_message()? {
         assert_eq!(message.channel.topic, "/flockeye/track");
@@ -75,7 +75,7 @@ fn a_recording_comes_back_with_all_that_it_says_of_itself() {
     let (found, ending) = read(&path).unwrap();
     assert_eq!(ending, Ending::Whole);
     assert_eq!(found, (0..30).map(message).collect::<Vec<_>>());
-    let mut reader = Reader::open(&path).unwrap();
+    let mut reader = RecordingReader::open(&path).unwrap();
     assert_eq!(reader.about().metadata["observer"], "wren");
     assert_eq!(reader.about().attachments, about().attachments);
     let first = reader.next_message().unwrap().unwrap();
@@ -147,7 +147,7 @@ fn what_is_whole_of_a_broken_recording_is_recovered() {
     assert_eq!((recovered.messages, recovered.was_whole), (20, false));
     let (found, ending) = read(&good).unwrap();
     assert_eq!((found.len(), ending), (20, Ending::Whole));
-    let about = Reader::open(&good).unwrap().about().clone();
+    let about = RecordingReader::open(&good).unwrap().about().clone();
     assert_eq!((about.metadata["observer"].as_str(), about.attachments.len()), ("wren", 1));
     let error = recover(&path, &good).unwrap_err().to_string();
     assert!(error.contains("is there already"), "{error}");
@@ -196,7 +196,7 @@ fn what_is_no_recording_is_refused_with_a_cure() {
     let (folder, path) = scratch();
     let refused = |bytes: &[u8]| {
         std::fs::write(&path, bytes).unwrap();
-        let error = Reader::open(&path).map(drop).expect_err("refused").to_string();
+        let error = RecordingReader::open(&path).map(drop).expect_err("refused").to_string();
         assert!(error.contains("flight.mcap") && error.contains("Cure:"), "{error}");
         error
     };
@@ -208,9 +208,10 @@ fn what_is_no_recording_is_refused_with_a_cure() {
     foreign.finish().unwrap();
     drop(foreign);
     assert!(refused(&bytes).contains("no metadata 'flockeye'"));
-    let error = Reader::open(folder.path()).map(drop).unwrap_err().to_string();
+    let error = RecordingReader::open(folder.path()).map(drop).unwrap_err().to_string();
     assert!(error.contains("is a directory"), "{error}");
-    let error = Reader::open(&folder.path().join("none.mcap")).map(drop).unwrap_err().to_string();
+    let error =
+        RecordingReader::open(&folder.path().join("none.mcap")).map(drop).unwrap_err().to_string();
     assert!(error.contains("none.mcap: No such file"), "{error}");
 }
 
@@ -226,7 +227,7 @@ fn a_file_of_100_gigabytes_of_nothing_is_refused_at_once() {
     let (_folder, path) = scratch();
     let length = 100_000_000_000;
     File::create(&path).unwrap().set_len(length).unwrap();
-    let error = Reader::open(&path).map(drop).unwrap_err().to_string();
+    let error = RecordingReader::open(&path).map(drop).unwrap_err().to_string();
     assert!(error.contains("is no MCAP file"), "{error}");
     std::fs::remove_file(&path).unwrap();
     // A recording whose rest a crash has left as a hole.
@@ -242,13 +243,14 @@ fn a_file_of_100_gigabytes_of_nothing_is_refused_at_once() {
     file.write_all(&[6]).unwrap();
     file.write_all(&(length - 100).to_le_bytes()).unwrap();
     let before = peak_bytes();
-    let error = Reader::open(&path).map(drop).unwrap_err().to_string();
+    let error = RecordingReader::open(&path).map(drop).unwrap_err().to_string();
     assert!(error.contains("damaged near byte"), "{error}");
     assert!(peak_bytes() < before + 500_000_000, "{} bytes", peak_bytes());
     assert!(std::fs::metadata(&path).unwrap().blocks() < 10_000, "it has stayed sparse");
 }
 
-/// The numbers of all frames that an index leads to, chunk by chunk, and where a chunk cannot be read, why.
+/// The numbers of all frames that an index leads to, chunk by chunk, and where a chunk cannot be
+/// read, why.
 fn through_index(recording: &IndexedRecording) -> (Vec<u64>, Vec<String>) {
     let (mut numbers, mut complaints) = (Vec::new(), Vec::new());
     for chunk in 0..recording.chunks().len() {
@@ -292,7 +294,8 @@ fn an_index_of_a_broken_recording_leads_to_what_is_whole() {
     let bytes = std::fs::read(&path).unwrap();
     let all = bytes.windows(4).enumerate().filter(|(_, bytes)| bytes == b"zstd");
     let chunks: Vec<usize> = all.map(|(place, _)| place).take(4).collect();
-    // In the middle of the third chunk: with its index all others are there, without it those before.
+    // In the middle of the third chunk: with its index all others are there, without it those
+    // before.
     let mut damaged = bytes.clone();
     damaged[chunks[2] + 60] ^= 0xff;
     std::fs::write(&path, &damaged).unwrap();

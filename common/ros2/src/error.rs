@@ -1,18 +1,16 @@
 //! What can go wrong with publishing to ROS 2.
 
+use flockeye_network::NetworkError;
+
+/// Maximum targets, and maximum peers, of a node.
+pub(crate) const MAX_DRONES: usize = 64;
+
 /// What can go wrong with publishing to ROS 2. None of these ends a stage that is already running.
 #[derive(Debug, thiserror::Error)]
 pub enum Ros2Error {
-    /// A parameter that cannot work.
-    #[error("{field}: '{found}' {reason}")]
-    Parameter {
-        /// Name of the field, with its index in a list.
-        field: String,
-        /// What it holds.
-        found: String,
-        /// Why it cannot work, and what would.
-        reason: String,
-    },
+    /// A parameter that cannot work, a session or a thread that cannot be had.
+    #[error(transparent)]
+    Network(#[from] NetworkError),
     /// A name that no other drone can have.
     #[error("drone '{name}' {reason}")]
     Name {
@@ -35,13 +33,8 @@ pub enum Ros2Error {
         ros_name: String,
     },
     /// More drones than there are topics for.
-    #[error("drone '{name}': already {most} drones, which is the most")]
-    TooManyDrones {
-        /// The drone that is refused.
-        name: String,
-        /// How many there are.
-        most: usize,
-    },
+    #[error("drone '{0}': already {MAX_DRONES} drones, which is the most")]
+    TooManyDrones(String),
     /// A pose that is none.
     #[error("pose of or by '{name}': {what} is {found:?}, which {reason}")]
     Pose {
@@ -70,14 +63,6 @@ pub enum Ros2Error {
         /// What the encoder says.
         reason: String,
     },
-    /// Zenoh refused.
-    #[error("Zenoh cannot {what}: {reason}")]
-    Zenoh {
-        /// What was asked of it.
-        what: &'static str,
-        /// What it says.
-        reason: String,
-    },
     /// A client is linked with a session that passes nothing on.
     #[error(
         "who answers is no router. Cure: start one (ros2 run rmw_zenoh_cpp rmw_zenohd) and name its \
@@ -85,14 +70,6 @@ pub enum Ros2Error {
          names another"
     )]
     NoRouter,
-    /// A thread could not be started.
-    #[error("cannot start the thread {name}: {source}")]
-    Thread {
-        /// Its name.
-        name: &'static str,
-        /// What the system says.
-        source: std::io::Error,
-    },
     /// The session is over.
     #[error("the ROS 2 session is closed")]
     Closed,

@@ -1,14 +1,15 @@
 //! Under which keys rmw_zenoh publishes and announces, and what it attaches to each message.
 //!
-//! The format is that of `rmw_zenoh_cpp` 0.2.4 and later (`docs/design.md`, `liveliness_utils.cpp` and
-//! `attachment_helpers.cpp` of ros2/rmw_zenoh).
+//! The format is that of `rmw_zenoh_cpp` 0.2.4 and later (`docs/design.md`, `liveliness_utils.cpp`
+//! and `attachment_helpers.cpp` of ros2/rmw_zenoh).
 
 use xxhash_rust::xxh3::xxh3_128;
 
 use crate::messages::MessageType;
 
-/// Quality of service of every publisher here, as tokens encode it: all that differs from rmw_zenoh's
-/// defaults, which are reliable, volatile and the last 42. Here it is the last 10, as ROS's default has it.
+/// Quality of service of every publisher here, as tokens encode it: all that differs from
+/// rmw_zenoh's defaults, which are reliable, volatile and the last 42. Here it is the last 10, as
+/// ROS's default has it.
 const QOS: &str = "::,10:,:,:,,";
 
 /// Length of an attachment, bytes.
@@ -50,7 +51,8 @@ impl NodeIdentity {
         )
     }
 
-    /// There is one node in a session, so its number is always 0. The enclave, of ROS's security, is `/`.
+    /// There is one node in a session, so its number is always 0. The enclave, of ROS's security,
+    /// is `/`.
     fn entity_token(&self, entity: u32, kind: &str) -> String {
         format!(
             "@ros2_lv/{}/{}/0/{entity}/{kind}/%/{}/{}",
@@ -67,15 +69,15 @@ fn mangled(name: &str) -> String {
     name.replace('/', "%")
 }
 
-/// The identifier of the publisher with the liveliness token `token`: its XXH3 hash of 128 bits, low half
-/// first, each half little-endian.
+/// The identifier of the publisher with the liveliness token `token`: its XXH3 hash of 128 bits,
+/// low half first, each half little-endian.
 pub fn gid(token: &str) -> [u8; 16] {
     xxh3_128(token.as_bytes()).to_le_bytes()
 }
 
-/// What accompanies each message: its number on its topic, from 1; when it was sent, nanoseconds since the
-/// Unix epoch; and its publisher. In Zenoh's serialization: integers little-endian, a length before the
-/// array.
+/// What accompanies each message: its number on its topic, from 1; when it was sent, nanoseconds
+/// since the Unix epoch; and its publisher. In Zenoh's serialization: integers little-endian, a
+/// length before the array.
 pub fn attachment(sequence: i64, sent_utc_ns: i64, gid: [u8; 16]) -> [u8; ATTACHMENT_BYTES] {
     let mut bytes = [0; ATTACHMENT_BYTES];
     bytes[..8].copy_from_slice(&sequence.to_le_bytes());
@@ -134,7 +136,8 @@ mod tests {
             |text: &str| gid(text).iter().map(|byte| format!("{byte:02x}")).collect::<String>();
         // XXH3's own test vector: 0x99aa06d3014798d8_6001c324468d497f.
         assert_eq!(hex(""), "7f498d4624c30160d8984701d306aa99");
-        // The other values are from the reference implementation, which goes another way above 240 bytes.
+        // The other values are from the reference implementation, which goes another way above 240
+        // bytes.
         let token = node().publisher_token(1, "/tf", MessageType::TfMessage);
         assert_eq!(hex(&token), "0dfd03f2435bd2125908fef8ed8d771f");
         assert_eq!(hex(&"token/".repeat(50)), "9bb9d388c3c6c261a1b9a2c25944dc13");

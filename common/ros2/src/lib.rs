@@ -10,16 +10,16 @@
 //! | `/<observer>/seen_by/<peer>/odometry` | `nav_msgs/msg/Odometry` |
 //!
 //! ```no_run
-//! use flockeye_ros2::{NeighbourPose, RelativePose, Ros2Node, Ros2Parameters};
+//! use flockeye_ros2::{RelativePose, Ros2Node, Ros2Parameters};
 //!
 //! let node = Ros2Node::open(&Ros2Parameters::default(), "wren")?;
-//! let pose = RelativePose {
+//! let kite = RelativePose {
+//!     name: "kite".into(),
 //!     stamp_utc_ns: 1_700_000_000_000_000_000,
 //!     position: [1.0, -2.0, 0.5],
 //!     orientation: [0.0, 0.0, 0.0, 1.0],
 //!     covariance: [0.0; 36],
 //! };
-//! let kite = NeighbourPose { target: "kite".into(), pose };
 //! node.publish_neighbour(&kite)?;
 //! node.publish_transforms(&[kite])?;
 //! # Ok::<(), flockeye_ros2::Ros2Error>(())
@@ -39,10 +39,10 @@ mod names;
 mod node;
 mod parameters;
 mod pose;
-mod sender;
+mod session;
 
 pub use error::Ros2Error;
-pub use names::{MAX_DRONES, TRANSFORMS, pose_topic, ros_name};
-pub use node::{Ros2Counters, Ros2Node};
-pub use parameters::{Ros2Mode, Ros2Parameters};
-pub use pose::{NeighbourPose, ObserverSeen, RelativePose, UNKNOWN_VARIANCE, Velocity};
+pub use names::{TRANSFORMS, pose_topic, ros_name};
+pub use node::Ros2Node;
+pub use parameters::Ros2Parameters;
+pub use pose::{ObserverSeen, RelativePose, UNKNOWN_VARIANCE};

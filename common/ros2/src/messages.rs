@@ -1,8 +1,9 @@
 //! The ROS 2 messages that are published, and their bytes.
 //!
-//! The structs are those of ROS 2 Jazzy's `std_msgs`, `geometry_msgs`, `nav_msgs` and `tf2_msgs`, field by
-//! field in the same order, which is all that their encoding depends on: plain CDR (OMG CORBA 3.4, 9.3),
-//! little-endian, after the four bytes of a DDS encapsulation header (DDSI-RTPS 2.3, 10.2).
+//! The structs have the numbers and texts of ROS 2 Jazzy's `std_msgs`, `geometry_msgs`, `nav_msgs`
+//! and `tf2_msgs` in the same order, which is all that their encoding depends on; a vector or
+//! quaternion is an array. The encoding is plain CDR (OMG CORBA 3.4, 9.3), little-endian, after the
+//! four bytes of a DDS encapsulation header (DDSI-RTPS 2.3, 10.2).
 
 use byteorder::LittleEndian;
 use serde::Serialize;
@@ -19,7 +20,7 @@ pub enum MessageType {
     PoseWithCovarianceStamped,
     /// [`TfMessage`].
     TfMessage,
-    /// [`Odometry`].
+    /// [`OdometryMessage`].
     Odometry,
 }
 
@@ -34,18 +35,12 @@ impl MessageType {
     }
 
     /// The name in DDS, such as `nav_msgs::msg::dds_::Odometry_`, which keys carry.
-    pub fn dds_name(self) -> &'static str {
-        match self {
-            Self::PoseWithCovarianceStamped => {
-                "geometry_msgs::msg::dds_::PoseWithCovarianceStamped_"
-            }
-            Self::TfMessage => "tf2_msgs::msg::dds_::TFMessage_",
-            Self::Odometry => "nav_msgs::msg::dds_::Odometry_",
-        }
+    pub fn dds_name(self) -> String {
+        self.ros_name().replace("/msg/", "::msg::dds_::") + "_"
     }
 
-    /// The hash of the type's description (REP-2011, version RIHS01). Whoever has another description of
-    /// the type has another hash, and so another key.
+    /// The hash of the type's description (REP-2011, version RIHS01). Whoever has another
+    /// description of the type has another hash, and so another key.
     pub fn hash(self) -> &'static str {
         match self {
             Self::PoseWithCovarianceStamped => {
@@ -62,7 +57,7 @@ impl MessageType {
 }
 
 /// A message that can be published or recorded.
-pub trait Message: Serialize + Sized {
+pub trait Ros2Message: Serialize + Sized {
     /// Its type.
     const TYPE: MessageType;
 
@@ -91,8 +86,8 @@ pub struct Time {
 }
 
 impl Time {
-    /// The time of `utc_ns` nanoseconds since the Unix epoch; `None` outside the years 1901 to 2038, which
-    /// is all that 32 bits of seconds hold.
+    /// The time of `utc_ns` nanoseconds since the Unix epoch; `None` outside the years 1901 to
+    /// 2038, which is all that 32 bits of seconds hold.
     pub fn from_utc_ns(utc_ns: i64) -> Option<Self> {
         const SECOND_NS: i64 = 1_000_000_000;
         Some(Self {
@@ -116,65 +111,18 @@ pub struct Header {
     pub frame_id: String,
 }
 
-/// `geometry_msgs/msg/Point`, metres.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
-pub struct Point {
-    /// Along x, metres.
-    pub x: f64,
-    /// Along y, metres.
-    pub y: f64,
-    /// Along z, metres.
-    pub z: f64,
-}
-
-/// `geometry_msgs/msg/Vector3`: of metres, metres per second or radians per second, as its owner says.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
-pub struct Vector3 {
-    /// Along x.
-    pub x: f64,
-    /// Along y.
-    pub y: f64,
-    /// Along z.
-    pub z: f64,
-}
-
-/// `geometry_msgs/msg/Quaternion`: a rotation, of norm 1.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Quaternion {
-    /// First imaginary part.
-    pub x: f64,
-    /// Second imaginary part.
-    pub y: f64,
-    /// Third imaginary part.
-    pub z: f64,
-    /// Real part.
-    pub w: f64,
-}
-
-impl Default for Quaternion {
-    fn default() -> Self {
-        Self { x: 0.0, y: 0.0, z: 0.0, w: 1.0 }
-    }
-}
-
-/// `geometry_msgs/msg/Pose`.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
-pub struct Pose {
-    /// Where the origin is.
-    pub position: Point,
-    /// The rotation into the frame of the header.
-    pub orientation: Quaternion,
-}
-
 /// A 6x6 matrix. Row by row it has the bytes of ROS's `float64[36]`.
 pub type Matrix6 = [[f64; 6]; 6];
 
 /// `geometry_msgs/msg/PoseWithCovariance`.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 pub struct PoseWithCovariance {
-    /// The pose.
-    pub pose: Pose,
-    /// Covariance of position (m) and of rotations about the fixed axes (rad) of the header's frame.
+    /// Where the origin is, metres.
+    pub position: [f64; 3],
+    /// The rotation into the frame of the header, quaternion x y z w.
+    pub orientation: [f64; 4],
+    /// Covariance of position (m) and of rotations about the fixed axes (rad) of the header's
+    /// frame.
     pub covariance: Matrix6,
 }
 
@@ -187,73 +135,52 @@ pub struct PoseWithCovarianceStamped {
     pub pose: PoseWithCovariance,
 }
 
-impl Message for PoseWithCovarianceStamped {
+impl Ros2Message for PoseWithCovarianceStamped {
     const TYPE: MessageType = MessageType::PoseWithCovarianceStamped;
 }
 
-/// `geometry_msgs/msg/Transform`.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
-pub struct Transform {
-    /// Where the child's origin is in the header's frame, metres.
-    pub translation: Vector3,
-    /// The rotation, header's frame from child.
-    pub rotation: Quaternion,
-}
-
 /// `geometry_msgs/msg/TransformStamped`.
-#[derive(Debug, Clone, Default, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct TransformStamped {
     /// Time and parent frame.
     pub header: Header,
     /// The child frame.
     pub child_frame_id: String,
-    /// Parent from child.
-    pub transform: Transform,
+    /// Where the child's origin is in the header's frame, metres.
+    pub translation: [f64; 3],
+    /// The rotation, header's frame from child, quaternion x y z w.
+    pub rotation: [f64; 4],
 }
 
 /// `tf2_msgs/msg/TFMessage`.
-#[derive(Debug, Clone, Default, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct TfMessage {
     /// The transforms.
     pub transforms: Vec<TransformStamped>,
 }
 
-impl Message for TfMessage {
+impl Ros2Message for TfMessage {
     const TYPE: MessageType = MessageType::TfMessage;
 }
 
-/// `geometry_msgs/msg/Twist`.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
-pub struct Twist {
-    /// m/s.
-    pub linear: Vector3,
-    /// rad/s.
-    pub angular: Vector3,
-}
-
-/// `geometry_msgs/msg/TwistWithCovariance`.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
-pub struct TwistWithCovariance {
-    /// The velocities.
-    pub twist: Twist,
-    /// Their covariance, linear then angular.
-    pub covariance: Matrix6,
-}
-
 /// `nav_msgs/msg/Odometry`.
-#[derive(Debug, Clone, Default, PartialEq, Serialize)]
-pub struct Odometry {
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct OdometryMessage {
     /// Time, and the frame of the pose.
     pub header: Header,
     /// The frame of the twist, and whose pose it is.
     pub child_frame_id: String,
     /// Header's frame from child.
     pub pose: PoseWithCovariance,
-    /// Velocities along the child's axes.
-    pub twist: TwistWithCovariance,
+    /// Linear velocity along the child's axes, m/s.
+    pub linear_velocity: [f64; 3],
+    /// Angular velocity along the child's axes, rad/s.
+    pub angular_velocity: [f64; 3],
+    /// Covariance of the velocities, linear then angular.
+    pub velocity_covariance: Matrix6,
 }
 
-impl Message for Odometry {
+impl Ros2Message for OdometryMessage {
     const TYPE: MessageType = MessageType::Odometry;
 }
 

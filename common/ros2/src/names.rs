@@ -1,20 +1,17 @@
 //! Names of drones as ROS allows them.
 //!
-//! A drone's name may have `-` and `.`, and begin with a digit. A name in a ROS topic may not (ROS 2's
-//! design article "Topic and Service name mapping to DDS").
+//! A drone's name may have `-` and `.`, and begin with a digit. A name in a ROS topic may not (ROS
+//! 2's design article "Topic and Service name mapping to DDS").
 
 use std::collections::{BTreeMap, btree_map::Entry};
 
 use flockeye_contract::wire::{is_name, shortened};
 
-use crate::error::Ros2Error;
+use crate::error::{MAX_DRONES, Ros2Error};
 
-/// Maximum targets, and maximum peers, of a node.
-pub const MAX_DRONES: usize = 64;
-
-/// What a drone's name is in ROS. What is neither letter nor digit becomes `_`, several of them in a row
-/// become one, and a name that begins with none of the letters has an `n` before it: `kite-2` is `kite_2`,
-/// and `7` is `n7`. So two names may become the same.
+/// What a drone's name is in ROS. What is neither letter nor digit becomes `_`, several of them in
+/// a row become one, and a name that begins with none of the letters has an `n` before it: `kite-2`
+/// is `kite_2`, and `7` is `n7`. So two names may become the same.
 pub fn ros_name(name: &str) -> String {
     let mut mapped = String::with_capacity(name.len() + 1);
     if !name.starts_with(|first: char| first.is_ascii_alphabetic()) {
@@ -30,7 +27,8 @@ pub fn ros_name(name: &str) -> String {
     mapped
 }
 
-/// The topic of a neighbour's poses. `namespace` is the observer's, such as `/wren`, `target` a name in ROS.
+/// The topic of a neighbour's poses. `namespace` is the observer's, such as `/wren`, `target` a
+/// name in ROS.
 pub fn pose_topic(namespace: &str, target: &str) -> String {
     format!("{namespace}/neighbours/{target}/pose")
 }
@@ -78,7 +76,7 @@ impl Names {
             Entry::Occupied(known) if known.get() != name => return Err(collides(known.get())),
             Entry::Occupied(_) => {}
             Entry::Vacant(_) if is_full => {
-                return Err(Ros2Error::TooManyDrones { name: name.into(), most: MAX_DRONES });
+                return Err(Ros2Error::TooManyDrones(name.into()));
             }
             Entry::Vacant(new) => {
                 if mapped != name {
@@ -132,7 +130,7 @@ mod tests {
     fn drones_are_bounded_and_known_ones_go_on() {
         let mut names = Names::new("wren");
         (0..MAX_DRONES).for_each(|k| drop(names.admit(&format!("t{k}")).unwrap()));
-        assert!(matches!(names.admit("one-more"), Err(Ros2Error::TooManyDrones { .. })));
+        assert!(matches!(names.admit("one-more"), Err(Ros2Error::TooManyDrones(_))));
         names.admit("t0").unwrap();
     }
 

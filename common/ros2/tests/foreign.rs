@@ -7,34 +7,17 @@ mod common;
 
 use std::{
     io::{BufRead, BufReader},
-    path::{Path, PathBuf},
-    process::{Child, Command, Stdio},
+    path::Path,
+    process::{Command, Stdio},
     sync::atomic::{AtomicBool, Ordering::SeqCst},
     thread,
     time::Duration,
 };
 
 use common::{free_port, neighbour, parameters, router, seen, watched};
+use flockeye_require::python::{Running, python};
 use flockeye_ros2::{Ros2Node, UNKNOWN_VARIANCE, messages::MessageType};
 use serde_json::{Value, json};
-
-/// Python with what the scripts need: `make python` makes it.
-fn python() -> Option<PathBuf> {
-    let program = std::env::current_exe().ok()?;
-    // target/PROFILE/deps/PROGRAM
-    let python = program.ancestors().nth(3)?.join("python/bin/python");
-    let has_packages = Command::new(&python)
-        .args(["-c", "import rosbags, zenoh_ros2_sdk"])
-        .env("GIT_PYTHON_REFRESH", "quiet")
-        .output()
-        .is_ok_and(|output| output.status.success());
-    if has_packages {
-        return Some(python);
-    }
-    let what = "target/python with rosbags and zenoh-ros2-sdk, which `make python` makes";
-    flockeye_require::absent(flockeye_require::PYTHON, what);
-    None
-}
 
 fn script(python: &Path, name: &str, arguments: &[String]) -> Command {
     let mut command = Command::new(python);
@@ -47,23 +30,12 @@ fn script(python: &Path, name: &str, arguments: &[String]) -> Command {
     command
 }
 
-/// Is killed when dropped, so that a failed test leaves no program behind.
-struct Running(Child);
-
-impl Drop for Running {
-    fn drop(&mut self) {
-        // It may have ended by itself.
-        self.0.kill().ok();
-        self.0.wait().ok();
-    }
-}
-
 const TYPES: [MessageType; 3] =
     [MessageType::PoseWithCovarianceStamped, MessageType::TfMessage, MessageType::Odometry];
 
 #[test]
 fn rosbags_knows_the_types_and_reads_the_golden_bytes() {
-    let Some(python) = python() else { return };
+    let Some(python) = python("rosbags, zenoh_ros2_sdk") else { return };
     let golden = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden");
     let arguments = TYPES.map(|message| message.ros_name().to_owned());
     let arguments = [vec![golden.to_string_lossy().into_owned()], arguments.to_vec()].concat();
@@ -94,7 +66,7 @@ fn assert_header(header: &Value, frame: &str) {
 
 #[test]
 fn a_subscriber_of_ros_hears_all_three_topics() {
-    let Some(python) = python() else { return };
+    let Some(python) = python("rosbags, zenoh_ros2_sdk") else { return };
     watched(move || {
         let port = free_port();
         let _router = router(port);
@@ -145,7 +117,8 @@ fn a_subscriber_of_ros_hears_all_three_topics() {
         assert_header(&odometry["header"], "kite_2/base_link");
         assert_eq!(odometry["child_frame_id"], "wren/base_link");
         assert_pose(&odometry["pose"]);
-        // 74 degrees to the left of the peer, flying to the peer's left: 0.96 of it is straight ahead.
+        // 74 degrees to the left of the peer, flying to the peer's left: 0.96 of it is straight
+        // ahead.
         let linear = &odometry["twist"]["twist"]["linear"];
         assert!((linear["x"].as_f64().unwrap() - 1.92).abs() < 1e-9, "{linear}");
         assert!((linear["y"].as_f64().unwrap() - 0.56).abs() < 1e-9, "{linear}");

@@ -1,4 +1,4 @@
-//! The node among real sessions on the loopback interface: routers, and those that listen as ROS nodes do.
+//! The node among real sessions on the loopback interface: routers, and those that listen to them.
 //!
 //! Nothing here waits for a fixed time: a test waits for what must happen, and its watchdog fails
 //! it when that does not.
@@ -20,8 +20,8 @@ use std::{
 
 use common::{Relay, free_port, neighbour, parameters, router, seen, session, tcp, until, watched};
 use flockeye_ros2::{
-    Ros2Error, Ros2Mode, Ros2Node, Ros2Parameters, keys,
-    messages::{Message, MessageType, Pose, PoseWithCovarianceStamped, Time},
+    Ros2Error, Ros2Node, Ros2Parameters, keys,
+    messages::{MessageType, PoseWithCovarianceStamped, Ros2Message, Time},
 };
 use zenoh::{Session, Wait, sample::Sample};
 
@@ -103,7 +103,8 @@ fn a_message_has_its_bytes_its_number_its_time_and_its_publisher() {
             i64::try_from(since.as_nanos()).unwrap()
         };
         let (before_ns, mut published, mut heard) = (now_ns(), 0, Vec::new());
-        // The first may go before the subscription has come: each that is heard has its number all the same.
+        // The first may go before the subscription has come: each that is heard has its number all
+        // the same.
         while heard.len() < 3 {
             publish(&node, "kite");
             published += 1;
@@ -127,13 +128,12 @@ fn a_message_has_its_bytes_its_number_its_time_and_its_publisher() {
 
 /// [`neighbour`] as a message.
 fn expected() -> PoseWithCovarianceStamped {
-    let neighbour = neighbour("kite").pose;
+    let neighbour = neighbour("kite");
     let mut message = PoseWithCovarianceStamped::default();
     message.header.frame_id = "wren/base_link".into();
     message.header.stamp = Time::from_utc_ns(neighbour.stamp_utc_ns).unwrap();
-    let Pose { position, orientation } = &mut message.pose.pose;
-    [position.x, position.y, position.z] = neighbour.position;
-    [orientation.x, orientation.y, orientation.z, orientation.w] = neighbour.orientation;
+    message.pose.position = neighbour.position;
+    message.pose.orientation = neighbour.orientation;
     for (k, value) in neighbour.covariance.into_iter().enumerate() {
         message.pose.covariance[k / 6][k % 6] = value;
     }
@@ -192,32 +192,28 @@ fn a_session_that_passes_nothing_on_is_no_router() {
     });
 }
 
-/// Neither a port where nobody listens nor one where somebody accepts and then says nothing holds the caller
-/// up.
+/// Neither a port where nobody listens nor one where somebody accepts and then says nothing holds
+/// the caller up.
 #[test]
 fn routers_out_of_reach_hold_nothing_up() {
     watched(|| {
         let mute = TcpListener::bind("127.0.0.1:0").unwrap();
         let mute_port = mute.local_addr().unwrap().port();
-        for mode in [Ros2Mode::Client, Ros2Mode::Peer] {
-            let connect = vec![tcp(free_port()), tcp(mute_port)];
-            let parameters = Ros2Parameters { mode, connect, ..parameters(0) };
-            let start = Instant::now();
-            let node = Ros2Node::open(&parameters, "wren").unwrap();
-            for _ in 0..1_000 {
-                node.publish_neighbour(&neighbour("kite")).unwrap();
-                node.publish_transforms(&[neighbour("kite"), neighbour("swift")]).unwrap();
-                node.publish_odometry(&seen("kite")).unwrap();
-            }
-            assert!(start.elapsed() < Duration::from_secs(5), "{:?}", start.elapsed());
-            let counters = node.counters();
-            assert_eq!(counters.failed, 0);
-            if mode == Ros2Mode::Client {
-                assert_eq!((node.is_open(), counters.sent), (false, 0));
-                assert_eq!(counters.overwritten, 3 * 999, "one waits for each topic");
-            }
-            drop(node);
+        let connect = vec![tcp(free_port()), tcp(mute_port)];
+        let parameters = Ros2Parameters { connect, ..parameters(0) };
+        let start = Instant::now();
+        let node = Ros2Node::open(&parameters, "wren").unwrap();
+        for _ in 0..1_000 {
+            node.publish_neighbour(&neighbour("kite")).unwrap();
+            node.publish_transforms(&[neighbour("kite"), neighbour("swift")]).unwrap();
+            node.publish_odometry(&seen("kite")).unwrap();
         }
+        assert!(start.elapsed() < Duration::from_secs(5), "{:?}", start.elapsed());
+        let counters = node.counters();
+        assert_eq!(counters.failed, 0);
+        assert_eq!((node.is_open(), counters.sent), (false, 0));
+        assert_eq!(counters.overwritten, 3 * 999, "one waits for each topic");
+        drop(node);
     });
 }
 
@@ -273,54 +269,6 @@ fn a_link_that_stalls_holds_nobody_up_and_then_has_what_is_current() {
 }
 
 #[test]
-fn a_peer_is_heard_by_those_who_connect_to_it() {
-    watched(|| {
-        let port = free_port();
-        let parameters = Ros2Parameters {
-            mode: Ros2Mode::Peer,
-            connect: Vec::new(),
-            listen: vec![tcp(port)],
-            ..parameters(0)
-        };
-        let node = Ros2Node::open(&parameters, "wren").unwrap();
-        let peer = session("peer", None, Some(port));
-        assert_heard(&peer, &node);
-        until(|| (tokens(&peer).len() == 2).then_some(()));
-    });
-}
-
-/// As rmw_zenoh's nodes are: peers that listen, and know each other from a router.
-#[test]
-fn a_peer_finds_ros_nodes_through_the_router() {
-    watched(|| {
-        let port = free_port();
-        let _router = router(port);
-        let parameters = Ros2Parameters { mode: Ros2Mode::Peer, ..parameters(port) };
-        let node = Ros2Node::open(&parameters, "wren").unwrap();
-        let peer = session("peer", Some(0), Some(port));
-        assert_heard(&peer, &node);
-    });
-}
-
-#[test]
-fn a_port_in_use_is_waited_for() {
-    watched(|| {
-        let taken = TcpListener::bind("127.0.0.1:0").unwrap();
-        let port = taken.local_addr().unwrap().port();
-        let parameters = Ros2Parameters {
-            mode: Ros2Mode::Peer,
-            connect: Vec::new(),
-            listen: vec![tcp(port)],
-            ..parameters(0)
-        };
-        let node = Ros2Node::open(&parameters, "wren").unwrap();
-        node.publish_neighbour(&neighbour("kite")).unwrap();
-        drop(taken);
-        until(|| (node.is_open() && node.counters().sent == 1).then_some(()));
-    });
-}
-
-#[test]
 fn one_bad_neighbour_costs_the_others_nothing() {
     watched(|| {
         let port = free_port();
@@ -329,7 +277,7 @@ fn one_bad_neighbour_costs_the_others_nothing() {
         let samples = router.declare_subscriber(key).wait().unwrap();
         let node = Ros2Node::open(&parameters(port), "wren").unwrap();
         let mut nowhere = neighbour("swift");
-        nowhere.pose.position[1] = f64::NAN;
+        nowhere.position[1] = f64::NAN;
         let all = ["kite-2", "kite.2", "wren", "a/b", "robin"].map(neighbour);
         let all: Vec<_> = [vec![nowhere], all.to_vec()].concat();
         let sample = until(|| {

@@ -5,7 +5,9 @@ use std::thread::{Builder, JoinHandle};
 
 use rustix::process::{getpriority_process, setpriority_process};
 
-use crate::scheduling::SchedulingPolicy;
+use flockeye_config::Scheduling;
+
+use crate::scheduling::{apply_to_this_thread, of_this_thread};
 
 /// Added to the process's nice value: under load such a thread gets a tenth of the processor time
 /// of a thread with nice value 0.
@@ -34,10 +36,10 @@ pub fn spawn<T: Send + 'static>(
 
 /// Brings the calling thread from real time to the normal policy.
 fn leave_real_time() {
-    if SchedulingPolicy::of_this_thread().is_some_and(SchedulingPolicy::is_real_time) {
+    if of_this_thread().is_some_and(Scheduling::is_real_time) {
         // Leaving real time needs no privilege. If it is refused all the same, the thread still
         // works.
-        let _ = SchedulingPolicy::Normal.apply_to_this_thread(0);
+        let _ = apply_to_this_thread(Scheduling::Normal, 0);
     }
 }
 
@@ -59,13 +61,12 @@ mod tests {
     fn it_leaves_the_real_time_class() {
         let (of_others, background) = std::thread::spawn(|| {
             // Without the privilege this is refused, and there is nothing to leave.
-            let _ = SchedulingPolicy::Fifo.apply_to_this_thread(1);
-            let policy = SchedulingPolicy::of_this_thread;
-            (policy(), spawn("background", policy).unwrap().join().unwrap())
+            let _ = apply_to_this_thread(Scheduling::Fifo, 1);
+            (of_this_thread(), spawn("background", of_this_thread).unwrap().join().unwrap())
         })
         .join()
         .unwrap();
         assert!(of_others.is_some());
-        assert_eq!(background, Some(SchedulingPolicy::Normal), "others: {of_others:?}");
+        assert_eq!(background, Some(Scheduling::Normal), "others: {of_others:?}");
     }
 }

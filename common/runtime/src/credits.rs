@@ -8,7 +8,7 @@
 use flockeye_contract::{FrameStamp, Plans};
 
 use crate::clock;
-use crate::ports::{OpenError, Ports, ReceiveError, Subscriber};
+use crate::ports::{PortError, Ports, Subscriber};
 use flockeye_config::{Flow, Pipeline};
 
 /// Time after which a source that may not send asks again, nanoseconds.
@@ -37,7 +37,7 @@ impl Credits {
     ///
     /// # Errors
     /// The plans cannot be subscribed to.
-    pub fn open(pipeline: &Pipeline, ports: &mut Ports) -> Result<Self, OpenError> {
+    pub fn open(pipeline: &Pipeline, ports: &mut Ports) -> Result<Self, PortError> {
         let (plans, state) = match pipeline.flow() {
             Flow::Latest => (None, State::Open),
             Flow::Lossless => (Some(ports.subscriber()?), State::Closed),
@@ -50,7 +50,7 @@ impl Credits {
     ///
     /// # Errors
     /// The plans cannot be received.
-    pub fn may_send(&mut self) -> Result<bool, ReceiveError> {
+    pub fn may_send(&mut self) -> Result<bool, PortError> {
         let Some(plans) = &mut self.plans else { return Ok(true) };
         while let Some(plan) = plans.receive()? {
             let opens = plan.header.has_after == 0;

@@ -20,29 +20,13 @@ pub struct Counters {
     queued: Cell<u64>,
     latencies_ns: RefCell<Vec<i64>>,
     state: Cell<Option<StageState>>,
+    /// Since when what the stage is linked with is missing.
+    missing_since_ns: Cell<Option<i64>>,
     detail: RefCell<String>,
 }
 
-/// The absence of what a stage is linked with, such as a router.
-#[derive(Debug, Default)]
-pub struct Absence {
-    since_ns: Option<i64>,
-}
-
-/// Absence after which a stage is degraded, nanoseconds.
+/// Absence of what a stage is linked with, after which the stage is degraded, nanoseconds.
 const MISSING_NS: i64 = 5_000_000_000;
-
-impl Absence {
-    /// The state to report at `now_ns`: `degraded` after five seconds of absence.
-    pub fn state(&mut self, is_there: bool, now_ns: i64) -> Option<StageState> {
-        if is_there {
-            self.since_ns = None;
-            return None;
-        }
-        let since_ns = *self.since_ns.get_or_insert(now_ns);
-        (now_ns - since_ns > MISSING_NS).then_some(StageState::Degraded)
-    }
-}
 
 /// Latencies kept between two reports; further ones are not sampled.
 const MAX_LATENCIES: usize = 4_096;
@@ -106,6 +90,15 @@ impl Counters {
         self.state.set(state);
     }
 
+    /// Notes whether what the stage is linked with, such as a router, is there at `now_ns`. After
+    /// five seconds of absence the loop reports `degraded`.
+    pub fn note_link(&self, is_there: bool, now_ns: i64) {
+        let since_ns = (!is_there).then(|| self.missing_since_ns.get().unwrap_or(now_ns));
+        self.missing_since_ns.set(since_ns);
+        let is_long = since_ns.is_some_and(|since_ns| now_ns - since_ns > MISSING_NS);
+        self.set_state(is_long.then_some(StageState::Degraded));
+    }
+
     /// The report, and a fresh start for the latencies.
     pub(crate) fn report(&self, identity: &Identity, state: StageState) -> Health {
         let latencies = std::mem::take(&mut *self.latencies_ns.borrow_mut());
@@ -164,12 +157,16 @@ mod tests {
 
     #[test]
     fn a_link_that_is_missing_for_five_seconds_degrades_its_stage() {
-        let mut absence = Absence::default();
-        assert_eq!(absence.state(false, 7), None);
-        assert_eq!(absence.state(false, 7 + MISSING_NS), None);
-        assert_eq!(absence.state(false, 8 + MISSING_NS), Some(StageState::Degraded));
-        assert_eq!(absence.state(true, 9 + MISSING_NS), None);
-        assert_eq!(absence.state(false, 10 + MISSING_NS), None, "it counts anew");
+        let counters = Counters::default();
+        let state = |is_there, now_ns| {
+            counters.note_link(is_there, now_ns);
+            counters.state.get()
+        };
+        assert_eq!(state(false, 7), None);
+        assert_eq!(state(false, 7 + MISSING_NS), None);
+        assert_eq!(state(false, 8 + MISSING_NS), Some(StageState::Degraded));
+        assert_eq!(state(true, 9 + MISSING_NS), None);
+        assert_eq!(state(false, 10 + MISSING_NS), None, "it counts anew");
     }
 
     #[test]

@@ -7,7 +7,9 @@ use std::fs::{File, OpenOptions};
 use std::io::{self, Read, Seek, Write};
 use std::os::unix::fs::{DirBuilderExt, MetadataExt};
 use std::path::{Path, PathBuf};
+use std::rc::Rc;
 
+use anyhow::{Context, anyhow};
 use iceoryx2::prelude::*;
 use rustix::fs::{FlockOperation, flock};
 
@@ -38,6 +40,7 @@ const LONGEST_SOCKET_PATH: usize = 107;
 const SOCKET_NAME: usize = 39;
 
 /// Why an instance cannot be had.
+#[expect(missing_docs, reason = "the texts name the fields")]
 #[derive(Debug, thiserror::Error)]
 pub enum InstanceError {
     /// Another pipeline has the name.
@@ -45,59 +48,31 @@ pub enum InstanceError {
         "a pipeline called '{name}' is running already (process {pid}). Cure: stop it, or give this \
          one another name with --set instance=NAME"
     )]
-    Taken {
-        /// The instance.
-        name: String,
-        /// The launcher of the other one.
-        pid: String,
-    },
+    Taken { name: String, pid: String },
     /// Its launcher has ended, and its stages fly on.
     #[error(
         "the stages of '{name}' fly on without a launcher ({pids}). Cure: `flockeye up --keep` takes them \
          over, `flockeye stop --instance {name}` ends them"
     )]
-    Kept {
-        /// The instance.
-        name: String,
-        /// The stages and their processes, in words.
-        pids: String,
-    },
+    Kept { name: String, pids: String },
     /// A name that would not lead to a folder of its own.
     #[error("'{name}' cannot be an instance's name: use 1 to 31 letters, digits, '-' and '_'")]
-    Name {
-        /// The name.
-        name: String,
-    },
+    Name { name: String },
     /// A file of the instance cannot be read or written.
     #[error("{path}: {error}")]
-    File {
-        /// The file.
-        path: PathBuf,
-        /// The system's reason.
-        error: io::Error,
-    },
+    File { path: PathBuf, error: io::Error },
     /// The folder's path is too long or has characters that iceoryx2 does not take.
     #[error(
         "iceoryx2 cannot keep its files in {path}; set TMPDIR to a short, plain path, or shorten the \
          instance's name"
     )]
-    Path {
-        /// The folder.
-        path: PathBuf,
-    },
+    Path { path: PathBuf },
     /// The folder is not this user's alone: others could put their own sockets and settings there.
     #[error(
         "{path} belongs to user {owner} and has mode {mode:o}: others can write to it. Cure: remove it, \
          or set TMPDIR to a folder of your own"
     )]
-    Foreign {
-        /// The folder.
-        path: PathBuf,
-        /// The number of its owner.
-        owner: u32,
-        /// Its permissions.
-        mode: u32,
-    },
+    Foreign { path: PathBuf, owner: u32, mode: u32 },
     /// The launcher's files are not there.
     #[error(
         "{FOLDER_VARIABLE} is not set: stages are started by `flockeye up`, or by hand with the \
@@ -106,12 +81,7 @@ pub enum InstanceError {
     NoFolder,
     /// The resolved configuration cannot be read back.
     #[error("{path} is not the configuration of this version: {error}")]
-    Resolved {
-        /// The file.
-        path: PathBuf,
-        /// What is wrong.
-        error: ConfigError,
-    },
+    Resolved { path: PathBuf, error: ConfigError },
 }
 
 /// A pipeline on this machine.
@@ -202,6 +172,21 @@ impl Instance {
         Ok(config)
     }
 
+    /// A node of iceoryx2 in this instance. Where there is no room, or no permission, the error
+    /// begins with `failure`.
+    ///
+    /// # Errors
+    /// As [`Instance::iceoryx2`], or iceoryx2's reason.
+    pub fn create_node(&self, name: &str, failure: &str) -> anyhow::Result<Rc<Node<ipc::Service>>> {
+        let node = NodeBuilder::new()
+            .name(&NodeName::new(name).context("node name")?)
+            .signal_handling_mode(SignalHandlingMode::Disabled)
+            .config(&self.iceoryx2()?)
+            .create::<ipc::Service>()
+            .map_err(|error| anyhow!("{failure}: {error:?}"))?;
+        Ok(Rc::new(node))
+    }
+
     /// Takes the instance for this process and clears what a dead run left behind.
     ///
     /// # Errors
@@ -285,7 +270,8 @@ impl Instance {
             self.folder.to_string_lossy(),
             self.prefix()
         );
-        write(&self.folder.join("iceoryx2.toml"), toml.as_bytes())
+        let path = self.folder.join("iceoryx2.toml");
+        std::fs::write(&path, toml).map_err(|error| InstanceError::File { path, error })
     }
 
     /// Reads the configuration that the launcher resolved.
@@ -391,11 +377,6 @@ fn all_folder() -> PathBuf {
 pub fn service_user() -> Option<u32> {
     let found = std::fs::symlink_metadata(SERVICE_FOLDER).ok()?;
     found.is_dir().then(|| found.uid())
-}
-
-fn write(path: &Path, bytes: &[u8]) -> Result<(), InstanceError> {
-    std::fs::write(path, bytes)
-        .map_err(|error| InstanceError::File { path: path.to_owned(), error })
 }
 
 fn ignore_missing(result: io::Result<()>) -> io::Result<()> {

@@ -8,7 +8,7 @@ use std::io::IsTerminal;
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-use tracing::field::{Field, Visit};
+use tracing::field::Field;
 use tracing::{Event, Subscriber};
 use tracing_subscriber::filter::LevelFilter;
 use tracing_subscriber::layer::{Context, SubscriberExt};
@@ -78,25 +78,17 @@ impl<S: Subscriber> Layer<S> for Overhearing {
         // Copied, because what is recorded may run anybody's code.
         let wanted: Vec<_> = lock(&OVERHEARD).iter().filter(is_wanted).cloned().collect();
         for overheard in wanted {
-            let mut message = Message::default();
-            event.record(&mut message);
-            if message.0.contains(overheard.contains) {
+            let mut text = String::new();
+            event.record(&mut |field: &Field, value: &dyn Debug| {
+                if field.name() == "message" {
+                    // Writing to a String cannot fail.
+                    let _ = write!(text, "{value:?}");
+                }
+            });
+            if text.contains(overheard.contains) {
                 let mut heard = lock(&overheard.heard);
-                *heard = (heard.0 + 1, message.0);
+                *heard = (heard.0 + 1, text);
             }
-        }
-    }
-}
-
-/// The text of an event.
-#[derive(Default)]
-struct Message(String);
-
-impl Visit for Message {
-    fn record_debug(&mut self, field: &Field, value: &dyn Debug) {
-        if field.name() == "message" {
-            // Writing to a String cannot fail.
-            let _ = write!(self.0, "{value:?}");
         }
     }
 }

@@ -7,6 +7,7 @@
 use std::fmt;
 use std::time::Duration;
 
+use anyhow::ensure;
 use flockeye_config::{Flow, Pipeline, RecordedFrames, Resolved};
 use flockeye_contract::{
     BodyTruth, DetectedMarker, Frames, JournalEntry, MAX_IMU_SAMPLES, MAX_JOURNAL_ENTRIES,
@@ -99,22 +100,6 @@ pub struct Budget {
     frames: usize,
 }
 
-/// The shared memory does not fit.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error(
-    "camera {width}x{height} needs {frames} frames of shared memory ({frame_mb} MB), {needed_mb} MB \
-     with all else; /dev/shm has {free_mb} MB free. Cure: mount -o remount,size={cure_mb}M /dev/shm"
-)]
-pub struct TooLittleMemory {
-    width: u32,
-    height: u32,
-    frames: usize,
-    frame_mb: usize,
-    needed_mb: usize,
-    free_mb: usize,
-    cure_mb: usize,
-}
-
 /// Views of all lanes that fusion keeps until their records are in.
 pub fn held_views_waiting(pipeline: &Pipeline) -> usize {
     // Rectification has this many in flight; one more may come before the answer to the one before.
@@ -127,46 +112,65 @@ pub fn held_views_best(resolved: &Resolved) -> usize {
     resolved.bodies.len().clamp(1, MAX_TRACKS) + 2
 }
 
-/// What the table of topics does not have: how many messages of a topic there may be, and how large
-/// they are.
-struct Sizes {
-    /// Readers at once, tools and successors of stages included.
-    subscribers: usize,
-    /// Messages that wait at a reader.
-    buffer: usize,
-    /// Messages that a reader may keep.
-    borrowed: usize,
-    /// Messages that a late reader still gets.
-    history: usize,
-    /// Messages that a publisher may be writing.
-    loaned: usize,
-    /// Most items in a message.
-    items: usize,
+/// The limits of a topic: what the table of topics does not have is how many messages there may be,
+/// and how large they are.
+fn limits(topic: &TopicInfo, resolved: &Resolved, largest_view_px: u32) -> Limits {
+    let pipeline = &resolved.pipeline;
+    let lanes = if topic.has_lanes() { pipeline.detection_workers() as usize } else { 1 };
+    // Of each lane.
+    let publishers = usual_publishers(topic, pipeline);
+    let usual = Limits {
+        topic: topic.name,
+        has_lanes: topic.has_lanes(),
+        lanes,
+        // Twice as many as in normal operation: a successor starts while the old process still
+        // runs.
+        publishers: 2 * publishers + 1,
+        usual_publishers: lanes * publishers,
+        subscribers: 4,
+        buffer: 64,
+        usual_buffer: 64,
+        // A lossless run waits for fusion: what fusion sees must not depend on when it looks.
+        patience: match pipeline.flow() {
+            Flow::Lossless if topic.has_lanes() => Some(pipeline.view_overdue()),
+            Flow::Lossless | Flow::Latest => None,
+        },
+        borrowed: 2,
+        history: 0,
+        loaned: 1,
+        items: 0,
+        grows_to: (topic.id == TopicId::Packets).then_some(MAX_PACKET_BYTES),
+        item_bytes: topic.item_bytes,
+        header_bytes: topic.header_bytes,
+    };
+    let sized = sized(topic.id, usual, resolved, largest_view_px);
+    let buffer = sized.buffer + late_views(topic.id, pipeline);
+    Limits { buffer, usual_buffer: sized.buffer, ..sized }
 }
 
-fn sizes(topic: TopicId, resolved: &Resolved, largest_view_px: u32) -> Sizes {
+/// The limits of a topic with its own numbers of messages and items, where they are not usual.
+fn sized(topic: TopicId, usual: Limits, resolved: &Resolved, largest_view_px: u32) -> Limits {
     let pipeline = &resolved.pipeline;
-    let usual = Sizes { subscribers: 4, buffer: 64, borrowed: 2, history: 0, loaned: 1, items: 0 };
     match topic {
         // Rectification keeps the frame that waits for answers, the one it cuts, the next one, and
         // for a moment one newer than that. Egomotion keeps one, the successor of one of them reads
         // too, and a tool may look on.
         TopicId::Frames => {
             let items = frame_bytes(pipeline);
-            Sizes { buffer: 1, borrowed: 4, loaned: 2, items, ..usual }
+            Limits { buffer: 1, borrowed: 4, loaned: 2, items, ..usual }
         }
         // A camera's packets are far smaller than its frames, and how large is not known before
         // they come. At 30 frames/s a recorder that sleeps for half a second misses none.
         TopicId::Packets => {
             let items = frame_bytes(pipeline) / PACKET_SHARE;
-            Sizes { subscribers: 2, buffer: 16, borrowed: 1, items, ..usual }
+            Limits { subscribers: 2, buffer: 16, borrowed: 1, items, ..usual }
         }
-        TopicId::Imus => Sizes { items: MAX_IMU_SAMPLES, ..usual },
-        TopicId::Rotations => Sizes { subscribers: 6, buffer: 16, ..usual },
+        TopicId::Imus => Limits { items: MAX_IMU_SAMPLES, ..usual },
+        TopicId::Rotations => Limits { subscribers: 6, buffer: 16, ..usual },
         // At 30 frames/s a recorder that sleeps for a quarter of a second misses none.
-        TopicId::Plans => Sizes { buffer: 8, history: 1, items: MAX_PLANNED_VIEWS, ..usual },
+        TopicId::Plans => Limits { buffer: 8, history: 1, items: MAX_PLANNED_VIEWS, ..usual },
         // To each lane listen its worker, fusion, the successor of one of them, and a tool.
-        TopicId::Views => Sizes {
+        TopicId::Views => Limits {
             buffer: usual_views(pipeline),
             // In the worst case all views that fusion keeps are of one lane; and it reads one more.
             borrowed: held_views_waiting(pipeline) + held_views_best(resolved) + 1,
@@ -175,24 +179,24 @@ fn sizes(topic: TopicId, resolved: &Resolved, largest_view_px: u32) -> Sizes {
         },
         TopicId::Detections => {
             // Rectification, fusion, a successor, and the launcher for up to three purposes.
-            Sizes { subscribers: 6, buffer: records_in_flight(resolved), items: MARKERS, ..usual }
+            Limits { subscribers: 6, buffer: records_in_flight(resolved), items: MARKERS, ..usual }
         }
-        TopicId::FrameEnds => Sizes { buffer: 16, ..usual },
+        TopicId::FrameEnds => Limits { buffer: 16, ..usual },
         // Gateway, ROS 2, autopilot, the successor of one of them, the launcher, recorder, viewer,
         // and tools.
-        TopicId::Tracks => Sizes { subscribers: 10, items: MAX_TRACKS, ..usual },
+        TopicId::Tracks => Limits { subscribers: 10, items: MAX_TRACKS, ..usual },
         // Fusion writes one whenever it has nothing left to do: at worst some hundred each second.
         TopicId::Journals => {
-            Sizes { subscribers: 3, buffer: 128, items: MAX_JOURNAL_ENTRIES, ..usual }
+            Limits { subscribers: 3, buffer: 128, items: MAX_JOURNAL_ENTRIES, ..usual }
         }
         // A report may bring more: it comes in several messages then.
         TopicId::Odometries => usual,
-        TopicId::Peers => Sizes { subscribers: 6, buffer: 32, items: MAX_PEER_SIGHTINGS, ..usual },
-        TopicId::Swarms => Sizes { subscribers: 5, buffer: 4, items: MAX_SWARM_POSES, ..usual },
-        TopicId::Healths => Sizes { subscribers: 8, ..usual },
-        TopicId::Truths => Sizes { items: TRUTH_BODIES, ..usual },
+        TopicId::Peers => Limits { subscribers: 6, buffer: 32, items: MAX_PEER_SIGHTINGS, ..usual },
+        TopicId::Swarms => Limits { subscribers: 5, buffer: 4, items: MAX_SWARM_POSES, ..usual },
+        TopicId::Healths => Limits { subscribers: 8, ..usual },
+        TopicId::Truths => Limits { items: TRUTH_BODIES, ..usual },
         // Every process reads it, and those that start later too.
-        TopicId::HandOvers => Sizes { subscribers: MAX_NODES, buffer: 4, history: 1, ..usual },
+        TopicId::HandOvers => Limits { subscribers: MAX_NODES, buffer: 4, history: 1, ..usual },
         TopicId::Complaints => usual,
     }
 }
@@ -248,38 +252,6 @@ fn usual_publishers(topic: &TopicInfo, pipeline: &Pipeline) -> usize {
     usize::from(!sources.is_empty()) + others as usize
 }
 
-fn limits(topic: &TopicInfo, resolved: &Resolved, largest_view_px: u32) -> Limits {
-    let pipeline = &resolved.pipeline;
-    let sizes = sizes(topic.id, resolved, largest_view_px);
-    let lanes = if topic.has_lanes() { pipeline.detection_workers() as usize } else { 1 };
-    // Bytes of each lane.
-    let publishers = usual_publishers(topic, pipeline);
-    Limits {
-        topic: topic.name,
-        has_lanes: topic.has_lanes(),
-        lanes,
-        // Twice as many as in normal operation: a successor starts while the old process still
-        // runs.
-        publishers: 2 * publishers + 1,
-        usual_publishers: lanes * publishers,
-        subscribers: sizes.subscribers,
-        buffer: sizes.buffer + late_views(topic.id, pipeline),
-        usual_buffer: sizes.buffer,
-        // A lossless run waits for fusion: what fusion sees must not depend on when it looks.
-        patience: match pipeline.flow() {
-            Flow::Lossless if topic.has_lanes() => Some(pipeline.view_overdue()),
-            Flow::Lossless | Flow::Latest => None,
-        },
-        borrowed: sizes.borrowed,
-        history: sizes.history,
-        loaned: sizes.loaned,
-        items: sizes.items,
-        grows_to: (topic.id == TopicId::Packets).then_some(MAX_PACKET_BYTES),
-        item_bytes: topic.item_bytes,
-        header_bytes: topic.header_bytes,
-    }
-}
-
 impl Budget {
     /// The limits that a configuration needs, for each topic of the contract.
     pub fn of(resolved: &Resolved) -> Self {
@@ -322,22 +294,22 @@ impl Budget {
     /// Refuses a budget that exceeds free memory: running out later would end a process by SIGBUS.
     ///
     /// # Errors
-    /// [`TooLittleMemory`], with both numbers and the cure.
-    pub fn check(&self, free_bytes: u64, total_bytes: u64) -> Result<(), TooLittleMemory> {
+    /// Both numbers, and the cure.
+    pub fn check(&self, free_bytes: u64, total_bytes: u64) -> anyhow::Result<()> {
         let needed = self.bytes() as u64;
-        if needed <= free_bytes {
-            return Ok(());
-        }
-        let mb = |bytes: u64| bytes.div_ceil(1_000_000) as usize;
-        Err(TooLittleMemory {
-            width: self.camera.0,
-            height: self.camera.1,
-            frames: self.frames,
-            frame_mb: mb((self.frames * self.frame_bytes) as u64),
-            needed_mb: mb(needed),
-            free_mb: (free_bytes / 1_000_000) as usize,
-            cure_mb: mb((total_bytes - free_bytes.min(total_bytes)) + needed * 5 / 4),
-        })
+        let mb = |bytes: u64| bytes.div_ceil(1_000_000);
+        let (width, height) = self.camera;
+        ensure!(
+            needed <= free_bytes,
+            "camera {width}x{height} needs {} frames of shared memory ({} MB), {} MB with all else; /dev/shm \
+             has {} MB free. Cure: mount -o remount,size={}M /dev/shm",
+            self.frames,
+            mb((self.frames * self.frame_bytes) as u64),
+            mb(needed),
+            free_bytes / 1_000_000,
+            mb((total_bytes - free_bytes.min(total_bytes)) + needed * 5 / 4)
+        );
+        Ok(())
     }
 }
 
@@ -432,7 +404,7 @@ mod tests {
     #[test]
     fn too_little_memory_names_numbers_and_cure() {
         let budget = Budget::of(&Resolved::of(Pipeline::default()).unwrap());
-        assert_eq!(budget.check(10_000_000_000, 20_000_000_000), Ok(()));
+        assert!(budget.check(10_000_000_000, 20_000_000_000).is_ok());
         let error = budget.check(12_000_000, 64_000_000).expect_err("12 MB do not do").to_string();
         assert!(
             error.starts_with("camera 3840x1920 needs 22 frames of shared memory (163 MB)"),

@@ -19,6 +19,7 @@ mod subscriber;
 use std::rc::Rc;
 use std::time::Duration;
 
+use anyhow::anyhow;
 use flockeye_contract::{HandOvers, Topic};
 use iceoryx2::port::listener::Listener;
 use iceoryx2::prelude::*;
@@ -29,7 +30,7 @@ use crate::listening::Listening;
 use crate::memory::{Budget, Limits};
 use crate::umask::with_own_umask;
 
-pub use self::error::{CreateError, OpenError, PortError, PublishError, ReceiveError, WaitError};
+pub use self::error::PortError;
 pub use self::publisher::{Loan, Publisher, UnsentMessage};
 pub use self::services::{TopicServices, create_all_services, create_services};
 pub use self::subscriber::{Judged, Message, Sender, Subscriber};
@@ -87,7 +88,7 @@ impl Ports {
     ///
     /// # Errors
     /// As [`Ports::subscriber`].
-    pub fn follow_hand_overs(&mut self) -> Result<(), OpenError> {
+    pub fn follow_hand_overs(&mut self) -> Result<(), PortError> {
         // Hand-overs are not counted, and no hand-over decides whether they are received.
         let hand_overs: Subscriber<HandOvers> = self.subscriber()?;
         let mut hand_overs =
@@ -106,7 +107,7 @@ impl Ports {
     ///
     /// # Errors
     /// The topic is not there, is of another contract version, or is full.
-    pub fn publisher<T: Topic>(&self) -> Result<Publisher<T>, OpenError> {
+    pub fn publisher<T: Topic>(&self) -> Result<Publisher<T>, PortError> {
         self.publisher_of_lane(0)
     }
 
@@ -114,7 +115,7 @@ impl Ports {
     ///
     /// # Errors
     /// As [`Ports::publisher`].
-    pub fn side_publisher<T: Topic>(&self) -> Result<Publisher<T>, OpenError> {
+    pub fn side_publisher<T: Topic>(&self) -> Result<Publisher<T>, PortError> {
         Ok(self.publisher_of_lane(0)?.counted_in(SharedCounters::default()))
     }
 
@@ -122,7 +123,7 @@ impl Ports {
     ///
     /// # Errors
     /// As [`Ports::publisher`].
-    pub fn publisher_of_lane<T: Topic>(&self, lane: usize) -> Result<Publisher<T>, OpenError> {
+    pub fn publisher_of_lane<T: Topic>(&self, lane: usize) -> Result<Publisher<T>, PortError> {
         let (data, wake) = self.open::<T>(lane)?;
         Publisher::join(data, &wake, self.budget.topic::<T>(), self.counters.clone())
     }
@@ -131,7 +132,7 @@ impl Ports {
     ///
     /// # Errors
     /// The topic is not there, is of another contract version, or is full.
-    pub fn subscriber<T: Topic>(&mut self) -> Result<Subscriber<T>, OpenError> {
+    pub fn subscriber<T: Topic>(&mut self) -> Result<Subscriber<T>, PortError> {
         self.subscriber_of_lane(0)
     }
 
@@ -139,7 +140,7 @@ impl Ports {
     ///
     /// # Errors
     /// As [`Ports::subscriber`].
-    pub fn subscribers_of_all_lanes<T: Topic>(&mut self) -> Result<Vec<Subscriber<T>>, OpenError> {
+    pub fn subscribers_of_all_lanes<T: Topic>(&mut self) -> Result<Vec<Subscriber<T>>, PortError> {
         let lanes = self.budget.topic::<T>().lanes;
         (0..lanes).map(|lane| self.subscriber_of_lane(lane)).collect()
     }
@@ -151,7 +152,7 @@ impl Ports {
     /// As [`Ports::subscriber`].
     pub fn late_subscribers_of_all_lanes<T: Topic>(
         &mut self,
-    ) -> Result<Vec<Subscriber<T>>, OpenError> {
+    ) -> Result<Vec<Subscriber<T>>, PortError> {
         let Limits { lanes, buffer, .. } = *self.budget.topic::<T>();
         (0..lanes).map(|lane| self.subscriber_with(lane, buffer)).collect()
     }
@@ -163,7 +164,7 @@ impl Ports {
     pub fn subscriber_of_lane<T: Topic>(
         &mut self,
         lane: usize,
-    ) -> Result<Subscriber<T>, OpenError> {
+    ) -> Result<Subscriber<T>, PortError> {
         self.subscriber_with(lane, self.budget.topic::<T>().usual_buffer)
     }
 
@@ -171,12 +172,12 @@ impl Ports {
         &mut self,
         lane: usize,
         buffer: usize,
-    ) -> Result<Subscriber<T>, OpenError> {
+    ) -> Result<Subscriber<T>, PortError> {
         let (data, wake) = self.open::<T>(lane)?;
         if self.wakes {
             let listener = with_own_umask(|| wake.listener_builder().create());
             let listener =
-                listener.map_err(|reason| OpenError::Listener { topic: T::NAME, reason })?;
+                listener.map_err(|reason| PortError::Listener { topic: T::NAME, reason })?;
             self.listeners.push(listener);
         }
         Subscriber::join(data, buffer, self.counters.clone(), self.listening.clone())
@@ -194,10 +195,10 @@ impl Ports {
         let waiting = WaitSetBuilder::new()
             .signal_handling_mode(SignalHandlingMode::Disabled)
             .create::<Service>()
-            .map_err(WaitError::from)?;
+            .map_err(|error| anyhow!("cannot wait for messages: {error:?}"))?;
         let attached: Result<Vec<_>, _> =
             self.listeners.iter().map(|listener| waiting.attach_notification(listener)).collect();
-        let _attached = attached.map_err(WaitError::from)?;
+        let _attached = attached.map_err(|error| anyhow!("cannot wait for messages: {error:?}"))?;
         while let Some(timeout) = body()? {
             if waiting.is_empty() {
                 std::thread::sleep(timeout);
@@ -218,18 +219,18 @@ impl Ports {
         Ok(())
     }
 
-    fn open<T: Topic>(&self, lane: usize) -> Result<(DataService<T>, WakeService), OpenError> {
+    fn open<T: Topic>(&self, lane: usize) -> Result<(DataService<T>, WakeService), PortError> {
         let topic = T::NAME;
         let name = service_name::<T>(self.budget.topic::<T>(), lane);
-        let (name, version) = name.zip(version()).ok_or(OpenError::Name { topic })?;
+        let (name, version) = name.zip(version()).ok_or(PortError::OpenName { topic })?;
         let data = self
             .node
             .service_builder(&name)
             .publish_subscribe::<[T::Item]>()
             .user_header::<T::Header>()
             .open_with_attributes(&version)
-            .map_err(|reason| OpenError::Messages { topic, reason })?;
+            .map_err(|reason| PortError::OpenMessages { topic, reason })?;
         let wake = self.node.service_builder(&name).event().open();
-        Ok((data, wake.map_err(|reason| OpenError::WakeUps { topic, reason })?))
+        Ok((data, wake.map_err(|reason| PortError::OpenWakeUps { topic, reason })?))
     }
 }

@@ -96,12 +96,16 @@ pub fn main<S: Stage>() -> ExitCode {
             }
         };
     }
-    match start::<S>() {
+    let started = StageRuntime::join(S::NAME).and_then(|mut runtime| {
+        let stage = S::open(&runtime.context, &mut runtime.ports)?;
+        Ok((runtime, stage))
+    });
+    match started {
         Err(error) => {
             tracing::error!("cannot start: {error:#}");
             ExitCode::from(CANNOT_START)
         }
-        Ok(running) => match running.run() {
+        Ok((runtime, stage)) => match run(runtime, stage) {
             Ok(()) => ExitCode::SUCCESS,
             Err(error) => {
                 tracing::error!("{error:#}");
@@ -111,39 +115,28 @@ pub fn main<S: Stage>() -> ExitCode {
     }
 }
 
-struct Running<S> {
-    stage: S,
-    process: StageProcess,
-}
-
-impl<S: Stage> Running<S> {
-    fn run(mut self) -> anyhow::Result<()> {
-        self.process.report(StageState::Ready)?;
-        self.process.serve(|| self.stage.step())?;
-        self.process.report(StageState::Draining)?;
-        self.stage.drain()
-    }
-}
-
-fn start<S: Stage>() -> anyhow::Result<Running<S>> {
-    let mut process = StageProcess::join(S::NAME)?;
-    let stage = S::open(&process.context, &mut process.ports)?;
-    Ok(Running { stage, process })
+fn run(mut runtime: StageRuntime, mut stage: impl Stage) -> anyhow::Result<()> {
+    runtime.report(StageState::Ready)?;
+    runtime.serve(|| stage.step())?;
+    runtime.report(StageState::Draining)?;
+    stage.drain()
 }
 
 /// A process that has joined the pipeline as a stage: what all stages owe, whatever they do.
-pub struct StageProcess {
+pub struct StageRuntime {
     /// What it knows of the pipeline.
     pub context: Context,
     /// Its ports.
     pub ports: Ports,
-    reporter: Reporter,
+    health: Publisher<Healths>,
+    /// When health is sent again, CLOCK_MONOTONIC, nanoseconds.
+    next_health_ns: i64,
     stopping: Arc<AtomicBool>,
 }
 
-impl StageProcess {
+impl StageRuntime {
     /// Joins the pipeline that the launcher's environment names, and reports that. From now on
-    /// SIGTERM and SIGINT end [`StageProcess::serve`].
+    /// SIGTERM and SIGINT end [`StageRuntime::serve`].
     ///
     /// # Errors
     /// There is no such stage or pipeline, or it speaks another version of the contract.
@@ -164,30 +157,17 @@ impl StageProcess {
             replica: number_from(REPLICA_VARIABLE)?,
             generation: number_from(GENERATION_VARIABLE)?,
         };
-        let node_name = NodeName::new(&format!("{name}-{}", identity.replica));
-        let node = NodeBuilder::new()
-            .name(&node_name.context("node name")?)
-            .signal_handling_mode(SignalHandlingMode::Disabled)
-            .config(&instance.iceoryx2()?)
-            .create::<ipc::Service>()
-            .map_err(|error| {
-                anyhow::anyhow!("cannot join the instance '{}': {error:?}", instance.name())
-            })?;
-        let node = Rc::new(node);
+        let failure = format!("cannot join the instance '{}'", instance.name());
+        let node = instance.create_node(&format!("{name}-{}", identity.replica), &failure)?;
         let budget = Budget::of(&resolved);
         let counters: SharedCounters = Rc::new(Counters::default());
         // Health messages are not counted as the stage's own output.
-        let health = Ports::new(node.clone(), budget.clone(), SharedCounters::default());
-        let mut reporter = Reporter {
-            publisher: health.publisher::<Healths>()?,
-            counters: counters.clone(),
-            identity: identity.clone(),
-            next_ns: 0,
-        };
-        reporter.send(StageState::Starting)?;
+        let uncounted = Ports::new(node.clone(), budget.clone(), SharedCounters::default());
+        let health = uncounted.publisher::<Healths>()?;
+        let next_health_ns = send_health(&health, &counters, &identity, StageState::Starting)?;
         let listening =
             Rc::new(Listening::of_stage(stage_name, identity.replica, identity.generation));
-        let complaints: Publisher<Complaints> = health.side_publisher()?;
+        let complaints: Publisher<Complaints> = uncounted.side_publisher()?;
         listening.complain_by(move |complaint| {
             if let Err(error) = complaints.send(complaint, &[]) {
                 tracing::debug!("a complaint cannot be sent: {error}");
@@ -197,7 +177,7 @@ impl StageProcess {
         ports.follow_hand_overs()?;
         let saved_states = SavedStates::of(&instance, &identity);
         let context = Context { resolved, identity, counters, saved_states };
-        Ok(Self { context, ports, reporter, stopping })
+        Ok(Self { context, ports, health, next_health_ns, stopping })
     }
 
     /// Sends health, with how far the stage is.
@@ -205,7 +185,9 @@ impl StageProcess {
     /// # Errors
     /// The message cannot be sent.
     pub fn report(&mut self, state: StageState) -> anyhow::Result<()> {
-        self.reporter.send(state)
+        let Context { counters, identity, .. } = &self.context;
+        self.next_health_ns = send_health(&self.health, counters, identity, state)?;
+        Ok(())
     }
 
     /// Calls `step` as [`Stage::step`] is called, and sends health in between, until SIGTERM.
@@ -213,7 +195,8 @@ impl StageProcess {
     /// # Errors
     /// The errors of `step`; waiting is impossible.
     pub fn serve(&mut self, mut step: impl FnMut() -> anyhow::Result<Step>) -> anyhow::Result<()> {
-        let Self { ports, reporter, stopping, .. } = self;
+        let Self { context, ports, health, next_health_ns, stopping } = self;
+        let send = |state| send_health(health, &context.counters, &context.identity, state);
         let mut state = StageState::Ready;
         ports.attend(|| {
             if stopping.load(Ordering::Relaxed) {
@@ -222,13 +205,13 @@ impl StageProcess {
             let step = step()?;
             if step == Step::Finished && state != StageState::Finished {
                 state = StageState::Finished;
-                reporter.send(state)?;
+                *next_health_ns = send(state)?;
             }
             let now_ns = clock::monotonic_ns();
-            if now_ns >= reporter.next_ns {
-                reporter.send(state)?;
+            if now_ns >= *next_health_ns {
+                *next_health_ns = send(state)?;
             }
-            let longest = clock::until(reporter.next_ns, now_ns);
+            let longest = clock::until(*next_health_ns, now_ns);
             Ok(Some(match step {
                 Step::Again => Duration::ZERO,
                 Step::WaitUntil(time_ns) => longest.min(clock::until(time_ns, now_ns)),
@@ -245,17 +228,14 @@ fn number_from(variable: &str) -> anyhow::Result<u32> {
     }
 }
 
-struct Reporter {
-    publisher: Publisher<Healths>,
-    counters: SharedCounters,
-    identity: Identity,
-    next_ns: i64,
-}
-
-impl Reporter {
-    fn send(&mut self, state: StageState) -> anyhow::Result<()> {
-        let report: Health = self.counters.report(&self.identity, state);
-        self.next_ns = report.sent_ns + HEALTH_PERIOD.as_nanos() as i64;
-        Ok(self.publisher.send(report, &[])?)
-    }
+/// Sends health, and returns when it is sent again, CLOCK_MONOTONIC, nanoseconds.
+fn send_health(
+    publisher: &Publisher<Healths>,
+    counters: &Counters,
+    identity: &Identity,
+    state: StageState,
+) -> anyhow::Result<i64> {
+    let report: Health = counters.report(identity, state);
+    publisher.send(report, &[])?;
+    Ok(report.sent_ns + HEALTH_PERIOD.as_nanos() as i64)
 }

@@ -6,8 +6,8 @@ use serde::Serialize;
 use crate::table::{TableCells, TableError, TableRow};
 use crate::writer::WrittenRow;
 
-/// When a frame was published and when it ended, that is when its last tracks came. Both are times of
-/// CLOCK_MONOTONIC in nanoseconds.
+/// When a frame was published and when it ended, that is when its last tracks came. Both are times
+/// of CLOCK_MONOTONIC in nanoseconds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub struct FrameTimes {
     /// The source's frame, from 0.
@@ -34,12 +34,12 @@ impl FrameTimes {
 
 impl WrittenRow for FrameTimes {
     fn names() -> Vec<&'static str> {
-        Self::REQUIRED.to_vec()
+        Self::REQUIRED.split(',').collect()
     }
 }
 
 impl TableRow for FrameTimes {
-    const REQUIRED: &'static [&'static str] = &["frame", "published_ns", "ended_ns"];
+    const REQUIRED: &'static str = "frame,published_ns,ended_ns";
     const CURE: &'static str = "record the times with flockeye up --frame-times";
 
     fn parse(cells: &TableCells<'_>) -> Result<Self, TableError> {

@@ -3,9 +3,9 @@
 use flockeye_contract::ImuSample;
 use flockeye_geometry::inertial::{RateRecord, RateSample};
 use nalgebra::Vector3;
-use serde::ser::{Serialize, SerializeStruct, Serializer};
+use serde::ser::{Serialize, Serializer};
 
-use crate::table::{TableCells, TableError, TableRow};
+use crate::table::{TableCells, TableError, TableRow, cells};
 use crate::writer::WrittenRow;
 
 /// A sample of an inertial sensor.
@@ -20,7 +20,8 @@ pub struct ImuRow {
 }
 
 impl ImuRow {
-    /// The row of a sample. `zero_ns` is the frames' clock at the beginning of the stream, nanoseconds.
+    /// The row of a sample. `zero_ns` is the frames' clock at the beginning of the stream,
+    /// nanoseconds.
     pub fn of(sample: &ImuSample, zero_ns: i64) -> Self {
         let force = Vector3::from(sample.specific_force);
         Self {
@@ -39,32 +40,22 @@ pub fn rate_record(mut rows: Vec<ImuRow>) -> RateRecord {
     record
 }
 
-const COLUMNS: [&str; 7] = ["t_s", "gx", "gy", "gz", "ax", "ay", "az"];
-
 impl WrittenRow for ImuRow {
     fn names() -> Vec<&'static str> {
-        COLUMNS.to_vec()
+        vec!["t_s", "gx", "gy", "gz", "ax", "ay", "az"]
     }
 }
 
 impl Serialize for ImuRow {
+    /// The cells, in the order of their columns' names.
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        let mut row = serializer.serialize_struct("ImuRow", COLUMNS.len())?;
-        let [time, rate @ .., _, _, _] = COLUMNS;
-        let [.., ax, ay, az] = COLUMNS;
-        row.serialize_field(time, &self.t_s)?;
-        for (k, name) in rate.into_iter().enumerate() {
-            row.serialize_field(name, &self.rate[k])?;
-        }
-        for (k, name) in [ax, ay, az].into_iter().enumerate() {
-            row.serialize_field(name, &self.specific_force.map(|force| force[k]))?;
-        }
-        row.end()
+        let (rate, force): ([f64; 3], _) = (self.rate.into(), self.specific_force.map(Into::into));
+        (self.t_s, rate, cells::<3>(force)).serialize(serializer)
     }
 }
 
 impl TableRow for ImuRow {
-    const REQUIRED: &'static [&'static str] = &["t_s", "gx", "gy", "gz"];
+    const REQUIRED: &'static str = "t_s,gx,gy,gz";
     const CURE: &'static str =
         "write these columns: seconds of the stream, and rad/s along the sensor's axes";
 

@@ -1,5 +1,5 @@
-//! CSV tables by which runs are judged, and how often the sphere is searched. `flockeye up` writes the tables;
-//! `flockeye-lab` reads them, and capture reads those of inertial sensors.
+//! CSV tables by which runs are judged, and how often the sphere is searched. `flockeye up` writes
+//! the tables; `flockeye-lab` reads them, and capture reads those of inertial sensors.
 //!
 //! | module | what it holds |
 //! | --- | --- |

@@ -3,9 +3,9 @@
 use flockeye_contract::{FrameStamp, MeasuredBy, Track, TrackState};
 use flockeye_convert::{matrix6, rotation};
 use nalgebra::{Matrix6, UnitQuaternion, Vector3};
-use serde::ser::{Serialize, SerializeStruct, Serializer};
+use serde::ser::{Serialize, Serializer};
 
-use crate::table::{TableCells, TableError, TableRow};
+use crate::table::{TableCells, TableError, TableRow, cells, triangle};
 use crate::writer::WrittenRow;
 
 /// A row of the poses: the target's pose in the observer's frame.
@@ -130,11 +130,6 @@ impl PoseRow {
     }
 }
 
-/// Rows and columns of the upper triangle, row by row.
-fn upper_triangle() -> impl Iterator<Item = (usize, usize)> {
-    (0..6).flat_map(|row| (row..6).map(move |column| (row, column)))
-}
-
 impl WrittenRow for PoseRow {
     fn names() -> Vec<&'static str> {
         let before = ["frame", "stamp_s", "target"].into_iter().chain(POSE);
@@ -145,64 +140,40 @@ impl WrittenRow for PoseRow {
 }
 
 impl Serialize for PoseRow {
+    /// The cells, in the order of their columns' names.
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        let mut row = serializer.serialize_struct("PoseRow", Self::names().len())?;
-        row.serialize_field("frame", &self.frame)?;
-        row.serialize_field("stamp_s", &self.stamp_s)?;
-        row.serialize_field("target", &self.target)?;
-        let numbers = |position: &Vector3<f64>, orientation: &UnitQuaternion<f64>| -> Vec<f64> {
-            position.iter().chain(orientation.coords.iter()).copied().collect()
+        let numbers = |position: &Vector3<f64>, orientation: &UnitQuaternion<f64>| -> [f64; 7] {
+            let [x, y, z] = (*position).into();
+            let [qx, qy, qz, qw] = orientation.coords.into();
+            [x, y, z, qx, qy, qz, qw]
         };
-        for (name, number) in POSE.into_iter().zip(numbers(&self.position, &self.orientation)) {
-            row.serialize_field(name, &number)?;
-        }
-        row.serialize_field("state", &self.state)?;
-        row.serialize_field("markers", &self.markers)?;
-        row.serialize_field("measured_by", &self.measured_by)?;
-        let measured = self.measured.as_ref();
-        let pose = measured.map(|pose| numbers(&pose.position, &pose.orientation));
-        for (index, name) in MEASURED.into_iter().enumerate() {
-            row.serialize_field(name, &pose.as_ref().map(|numbers| numbers[index]))?;
-        }
-        let covariances = [
-            (COVARIANCE, self.covariance),
-            (MEASURED_COVARIANCE, measured.and_then(|measured| measured.covariance)),
-        ];
-        for (names, covariance) in covariances {
-            for (name, place) in names.into_iter().zip(upper_triangle()) {
-                row.serialize_field(name, &covariance.map(|covariance| covariance[place]))?;
-            }
-        }
-        row.serialize_field("latency_ms", &self.latency_ms)?;
-        let predicted = self.predicted.as_ref();
-        row.serialize_field("predicted_s", &predicted.map(|predicted| predicted.at_s))?;
-        let pose = predicted.map(|pose| numbers(&pose.position, &pose.orientation));
-        for (index, name) in PREDICTED.into_iter().enumerate() {
-            row.serialize_field(name, &pose.as_ref().map(|numbers| numbers[index]))?;
-        }
-        for (name, place) in PREDICTED_COVARIANCE.into_iter().zip(upper_triangle()) {
-            row.serialize_field(name, &predicted.map(|predicted| predicted.covariance[place]))?;
-        }
-        row.end()
+        let covariance = |covariance: Option<Matrix6<f64>>| -> [Option<f64>; 21] {
+            cells(covariance.as_ref().map(triangle))
+        };
+        let (measured, predicted) = (self.measured.as_ref(), self.predicted.as_ref());
+        let row = (
+            self.frame,
+            self.stamp_s,
+            &self.target,
+            numbers(&self.position, &self.orientation),
+            self.state,
+            self.markers,
+            self.measured_by,
+            cells(measured.map(|pose| numbers(&pose.position, &pose.orientation))),
+            covariance(self.covariance),
+            covariance(measured.and_then(|pose| pose.covariance)),
+            self.latency_ms,
+            predicted.map(|pose| pose.at_s),
+            cells(predicted.map(|pose| numbers(&pose.position, &pose.orientation))),
+            covariance(predicted.map(|pose| pose.covariance)),
+        );
+        row.serialize(serializer)
     }
 }
 
 impl TableRow for PoseRow {
-    const REQUIRED: &'static [&'static str] = &[
-        "frame",
-        "stamp_s",
-        "target",
-        "px",
-        "py",
-        "pz",
-        "qx",
-        "qy",
-        "qz",
-        "qw",
-        "state",
-        "markers",
-        "latency_ms",
-    ];
+    const REQUIRED: &'static str =
+        "frame,stamp_s,target,px,py,pz,qx,qy,qz,qw,state,markers,latency_ms";
     const CURE: &'static str = "record the poses with flockeye up --poses";
 
     fn parse(cells: &TableCells<'_>) -> Result<Self, TableError> {
@@ -269,13 +240,7 @@ fn covariance(
     if names.iter().all(|column| cells.text(column).is_empty()) {
         return Ok(None);
     }
-    let mut covariance = Matrix6::zeros();
-    for (column, (row, place)) in names.into_iter().zip(upper_triangle()) {
-        let number = cells.number(column)?;
-        covariance[(row, place)] = number;
-        covariance[(place, row)] = number;
-    }
-    Ok(Some(covariance))
+    cells.symmetric(&names).map(Some)
 }
 
 #[cfg(test)]
@@ -293,7 +258,8 @@ mod tests {
     }
 
     fn written(rows: &[PoseRow]) -> Vec<u8> {
-        let mut writer = csv::Writer::from_writer(Vec::new());
+        let mut writer = csv::WriterBuilder::new().has_headers(false).from_writer(Vec::new());
+        writer.write_record(PoseRow::names()).expect("memory is there");
         for row in rows {
             writer.serialize(row).expect("memory is there");
         }

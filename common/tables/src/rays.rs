@@ -1,7 +1,7 @@
 //! The rows of the detected markers' corner rays.
 
 use flockeye_contract::{DetectedMarker, DetectionHeader};
-use serde::ser::{Serialize, SerializeStruct, Serializer};
+use serde::ser::{Serialize, Serializer};
 
 use crate::table::{TableCells, TableError, TableRow};
 use crate::writer::WrittenRow;
@@ -44,48 +44,25 @@ impl MarkerRays {
 
 impl WrittenRow for MarkerRays {
     fn names() -> Vec<&'static str> {
-        Self::REQUIRED.to_vec()
+        Self::REQUIRED.split(',').collect()
     }
 }
 
 impl Serialize for MarkerRays {
+    /// The cells, in the order of their columns' names.
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        let mut row = serializer.serialize_struct("MarkerRays", Self::REQUIRED.len())?;
-        row.serialize_field("epoch", &self.epoch)?;
-        row.serialize_field("frame", &self.frame)?;
-        row.serialize_field("marker", &self.marker)?;
-        let corners = self.rays_in_camera.iter().zip(&self.deviations_rad);
-        for (names, ([x, y, z], deviation_rad)) in CORNERS.into_iter().zip(corners) {
-            for (name, number) in names.into_iter().zip([x, y, z, deviation_rad]) {
-                row.serialize_field(name, number)?;
-            }
-        }
-        row.end()
+        let corners: [[f64; 4]; 4] = std::array::from_fn(|k| {
+            let [x, y, z] = self.rays_in_camera[k];
+            [x, y, z, self.deviations_rad[k]]
+        });
+        (self.epoch, self.frame, self.marker, corners).serialize(serializer)
     }
 }
 
 impl TableRow for MarkerRays {
-    const REQUIRED: &'static [&'static str] = &[
-        "epoch",
-        "frame",
-        "marker",
-        "x0",
-        "y0",
-        "z0",
-        "deviation0_rad",
-        "x1",
-        "y1",
-        "z1",
-        "deviation1_rad",
-        "x2",
-        "y2",
-        "z2",
-        "deviation2_rad",
-        "x3",
-        "y3",
-        "z3",
-        "deviation3_rad",
-    ];
+    const REQUIRED: &'static str = "\
+        epoch,frame,marker,x0,y0,z0,deviation0_rad,x1,y1,z1,deviation1_rad,x2,y2,z2,\
+        deviation2_rad,x3,y3,z3,deviation3_rad";
     const CURE: &'static str = "record the rays with flockeye up --rays";
 
     fn parse(cells: &TableCells<'_>) -> Result<Self, TableError> {

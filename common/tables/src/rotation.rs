@@ -3,9 +3,9 @@
 use flockeye_contract::{FrameStamp, Rotation, RotationSource};
 use flockeye_convert::camera_turn;
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
-use serde::ser::{Serialize, SerializeStruct, Serializer};
+use serde::ser::{Serialize, Serializer};
 
-use crate::table::{TableCells, TableError, TableRow};
+use crate::table::{TableCells, TableError, TableRow, cells, triangle};
 use crate::writer::WrittenRow;
 
 /// A row of the rotations: how the camera has turned to one frame.
@@ -15,8 +15,8 @@ pub struct RotationRow {
     pub frame: u64,
     /// Mid-exposure, stream time, seconds.
     pub stamp_s: f64,
-    /// Mid-exposure on the frames' clock, seconds since the stream of the run's first frame began. It differs
-    /// from `stamp_s` where frames do not come as evenly as they were taken.
+    /// Mid-exposure on the frames' clock, seconds since the stream of the run's first frame began.
+    /// It differs from `stamp_s` where frames do not come as evenly as they were taken.
     pub exposure_s: f64,
     /// What it was measured by; `None`: it is not known.
     pub turn: Option<RecordedTurn>,
@@ -49,9 +49,9 @@ const RATE: [&str; 3] = ["rx", "ry", "rz"];
 const RATE_COVARIANCE: [&str; 6] = ["r00", "r01", "r02", "r11", "r12", "r22"];
 
 impl RotationRow {
-    /// The row of a rotation. `before` is the stamp of the rotation before it: if it was measured from
-    /// that frame, the earlier exposure's stream time is that frame's. `zero_ns` is the frames' clock when the
-    /// stream of the run's first frame began.
+    /// The row of a rotation. `before` is the stamp of the rotation before it: if it was measured
+    /// from that frame, the earlier exposure's stream time is that frame's. `zero_ns` is the
+    /// frames' clock when the stream of the run's first frame began.
     pub fn of(rotation: &Rotation, before: Option<&FrameStamp>, zero_ns: i64) -> Self {
         let stamp = &rotation.stamp;
         let since_zero_s = |at_ns: i64| at_ns.saturating_sub(zero_ns) as f64 * 1e-9;
@@ -61,7 +61,8 @@ impl RotationRow {
             let from = before.filter(|before| before.exposure_ns == earlier_ns);
             let passed_s = stamp.exposure_ns.saturating_sub(earlier_ns) as f64 * 1e-9;
             RecordedTurn {
-                // Only `Nothing` has no turn, and an unknown code does not pass the contract's check.
+                // Only `Nothing` has no turn, and an unknown code does not pass the contract's
+                // check.
                 source: RotationSource::try_from(rotation.source)
                     .unwrap_or(RotationSource::Nothing),
                 earlier_s: from.map_or(stamp_s - passed_s, |from| from.stream_ns as f64 * 1e-9),
@@ -77,72 +78,36 @@ impl RotationRow {
     }
 }
 
-/// Rows and columns of the upper triangle, row by row.
-fn upper_triangle() -> impl Iterator<Item = (usize, usize)> {
-    (0..3).flat_map(|row| (row..3).map(move |column| (row, column)))
-}
-
 impl WrittenRow for RotationRow {
     fn names() -> Vec<&'static str> {
-        Self::REQUIRED.to_vec()
+        Self::REQUIRED.split(',').collect()
     }
 }
 
 impl Serialize for RotationRow {
+    /// The cells, in the order of their columns' names.
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        let mut row = serializer.serialize_struct("RotationRow", Self::REQUIRED.len())?;
-        row.serialize_field("frame", &self.frame)?;
-        row.serialize_field("stamp_s", &self.stamp_s)?;
-        row.serialize_field("exposure_s", &self.exposure_s)?;
         let turn = self.turn.as_ref();
-        row.serialize_field("source", &turn.map_or(RotationSource::Nothing, |turn| turn.source))?;
-        row.serialize_field("earlier_s", &turn.map(|turn| turn.earlier_s))?;
-        let earlier_exposure_s = turn.map(|turn| turn.earlier_exposure_s);
-        row.serialize_field("earlier_exposure_s", &earlier_exposure_s)?;
-        for (k, name) in ROTATION.into_iter().enumerate() {
-            row.serialize_field(name, &turn.map(|turn| turn.later_from_earlier.coords[k]))?;
-        }
-        for (name, place) in COVARIANCE.into_iter().zip(upper_triangle()) {
-            row.serialize_field(name, &turn.map(|turn| turn.covariance[place]))?;
-        }
-        for (k, name) in RATE.into_iter().enumerate() {
-            row.serialize_field(name, &turn.map(|turn| turn.rate_in_camera[k]))?;
-        }
-        for (name, place) in RATE_COVARIANCE.into_iter().zip(upper_triangle()) {
-            row.serialize_field(name, &turn.map(|turn| turn.rate_covariance[place]))?;
-        }
-        row.end()
+        let row = (
+            self.frame,
+            self.stamp_s,
+            self.exposure_s,
+            turn.map_or(RotationSource::Nothing, |turn| turn.source),
+            turn.map(|turn| turn.earlier_s),
+            turn.map(|turn| turn.earlier_exposure_s),
+            cells::<4>(turn.map(|turn| turn.later_from_earlier.coords.into())),
+            cells::<6>(turn.map(|turn| triangle(&turn.covariance))),
+            cells::<3>(turn.map(|turn| turn.rate_in_camera.into())),
+            cells::<6>(turn.map(|turn| triangle(&turn.rate_covariance))),
+        );
+        row.serialize(serializer)
     }
 }
 
 impl TableRow for RotationRow {
-    const REQUIRED: &'static [&'static str] = &[
-        "frame",
-        "stamp_s",
-        "exposure_s",
-        "source",
-        "earlier_s",
-        "earlier_exposure_s",
-        "qx",
-        "qy",
-        "qz",
-        "qw",
-        "c00",
-        "c01",
-        "c02",
-        "c11",
-        "c12",
-        "c22",
-        "rx",
-        "ry",
-        "rz",
-        "r00",
-        "r01",
-        "r02",
-        "r11",
-        "r12",
-        "r22",
-    ];
+    const REQUIRED: &'static str = "\
+        frame,stamp_s,exposure_s,source,earlier_s,earlier_exposure_s,qx,qy,qz,qw,c00,c01,\
+        c02,c11,c12,c22,rx,ry,rz,r00,r01,r02,r11,r12,r22";
     const CURE: &'static str = "record the rotations with flockeye up --rotations";
 
     fn parse(cells: &TableCells<'_>) -> Result<Self, TableError> {
@@ -156,29 +121,19 @@ impl TableRow for RotationRow {
                     earlier_s: cells.number("earlier_s")?,
                     earlier_exposure_s: cells.number("earlier_exposure_s")?,
                     later_from_earlier: cells.rotation(ROTATION)?,
-                    covariance: covariance(cells, COVARIANCE)?,
+                    covariance: cells.symmetric(&COVARIANCE)?,
                     rate_in_camera: Vector3::new(
                         cells.number(x)?,
                         cells.number(y)?,
                         cells.number(z)?,
                     ),
-                    rate_covariance: covariance(cells, RATE_COVARIANCE)?,
+                    rate_covariance: cells.symmetric(&RATE_COVARIANCE)?,
                 })
             }
         };
         let (stamp_s, exposure_s) = (cells.number("stamp_s")?, cells.number("exposure_s")?);
         Ok(Self { frame: cells.count("frame")?, stamp_s, exposure_s, turn })
     }
-}
-
-fn covariance(cells: &TableCells<'_>, names: [&str; 6]) -> Result<Matrix3<f64>, TableError> {
-    let mut covariance = Matrix3::zeros();
-    for (name, (row, column)) in names.into_iter().zip(upper_triangle()) {
-        let number = cells.number(name)?;
-        covariance[(row, column)] = number;
-        covariance[(column, row)] = number;
-    }
-    Ok(covariance)
 }
 
 #[cfg(test)]

@@ -1,7 +1,8 @@
 //! How often each tile of the sphere is searched, by the plans and records of the stages.
 //!
-//! An untracked target is found when the tile that shows it is searched next. So the longest time between
-//! two searches of one tile is how many frames a target inside the detection range may stay unseen.
+//! An untracked target is found when the tile that shows it is searched next. So the longest time
+//! between two searches of one tile is how many frames a target inside the detection range may stay
+//! unseen.
 
 use std::collections::VecDeque;
 use std::fmt;
@@ -73,7 +74,8 @@ struct SweptPart {
 }
 
 impl Sweep {
-    /// A count over these partitions and high-resolution tiles: whether the camera sees anything of them.
+    /// A count over these partitions and high-resolution tiles: whether the camera sees anything of
+    /// them.
     pub fn new(partitions: &[bool], high_resolution: &[bool]) -> Self {
         let parts = |seen: &[bool]| seen.iter().map(|seen| seen.then(SweptPart::default)).collect();
         Self {

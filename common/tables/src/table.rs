@@ -6,65 +6,35 @@ use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 use csv::StringRecord;
-use nalgebra::{Quaternion, UnitQuaternion};
+use nalgebra::{Quaternion, SMatrix, UnitQuaternion};
 use serde::Serialize;
 
 /// Why a table cannot be read.
+#[allow(missing_docs, reason = "the messages say what each is")]
 #[derive(Debug, thiserror::Error)]
 pub enum TableError {
-    /// The file cannot be opened, or is no CSV file.
     #[error("cannot read {path}: {reason}")]
-    Unreadable {
-        /// The file.
-        path: PathBuf,
-        /// Why.
-        reason: String,
-    },
-    /// Columns are not there.
+    Unreadable { path: PathBuf, reason: String },
     #[error(
         "{path} has no column {}. Cure: {cure}; the first line names the columns, and here it is \
          '{header}'",
         .missing.join(", ")
     )]
-    Columns {
-        /// The file.
-        path: PathBuf,
-        /// Columns that are missing.
-        missing: Vec<&'static str>,
-        /// What writes them.
-        cure: &'static str,
-        /// The first line.
-        header: String,
-    },
-    /// A cell does not hold what it should.
+    Columns { path: PathBuf, missing: Vec<&'static str>, cure: &'static str, header: String },
     #[error(
         "{path}, line {line}, column {column}: '{text}' is not {wanted}. Cure: correct it, or remove the line"
     )]
-    Cell {
-        /// The file.
-        path: PathBuf,
-        /// Counted from 1, the header's.
-        line: u64,
-        /// Its name.
-        column: String,
-        /// What it holds.
-        text: String,
-        /// What it should hold.
-        wanted: &'static str,
-    },
+    Cell { path: PathBuf, line: u64, column: String, text: String, wanted: &'static str },
 }
 
 /// A row of a table.
 pub trait TableRow: Sized {
-    /// Columns without which nothing can be said.
-    const REQUIRED: &'static [&'static str];
+    /// Columns without which nothing can be said, as the first line of a file names them.
+    const REQUIRED: &'static str;
     /// What writes a file with these columns.
     const CURE: &'static str;
 
     /// Takes its values from the cells.
-    ///
-    /// # Errors
-    /// A cell does not hold what it should.
     fn parse(cells: &TableCells<'_>) -> Result<Self, TableError>;
 }
 
@@ -83,9 +53,6 @@ impl TableCells<'_> {
     }
 
     /// What a cell holds, as `wanted` says; `None` if it is empty.
-    ///
-    /// # Errors
-    /// It holds something else.
     pub fn value<T: FromStr>(
         &self,
         column: &str,
@@ -99,9 +66,6 @@ impl TableCells<'_> {
     }
 
     /// A number that there may be.
-    ///
-    /// # Errors
-    /// It is no finite number.
     pub fn maybe_number(&self, column: &str) -> Result<Option<f64>, TableError> {
         let wanted = "a finite number";
         match self.value::<f64>(column, wanted)? {
@@ -111,26 +75,17 @@ impl TableCells<'_> {
     }
 
     /// A number that there must be.
-    ///
-    /// # Errors
-    /// It is no finite number.
     pub fn number(&self, column: &str) -> Result<f64, TableError> {
         self.maybe_number(column)?.ok_or_else(|| self.refuse(column, "a finite number"))
     }
 
     /// A whole number, 0 or more, that there must be.
-    ///
-    /// # Errors
-    /// It is none.
     pub fn count(&self, column: &str) -> Result<u64, TableError> {
         let wanted = "a whole number from 0";
         self.value(column, wanted)?.ok_or_else(|| self.refuse(column, wanted))
     }
 
     /// A whole number, 0 or more, of 32 bits, that there must be.
-    ///
-    /// # Errors
-    /// It is none.
     pub fn small_count(&self, column: &str) -> Result<u32, TableError> {
         u32::try_from(self.count(column)?)
             .map_err(|_| self.refuse(column, "a whole number below 4294967296"))
@@ -150,10 +105,21 @@ impl TableCells<'_> {
         Ok(UnitQuaternion::from_quaternion(quaternion))
     }
 
+    /// A symmetric matrix from the columns of its upper triangle, row by row.
+    pub fn symmetric<const SIZE: usize>(
+        &self,
+        columns: &[&str],
+    ) -> Result<SMatrix<f64, SIZE, SIZE>, TableError> {
+        let mut matrix = SMatrix::zeros();
+        for (name, (row, column)) in columns.iter().zip(upper_triangle(SIZE)) {
+            let number = self.number(name)?;
+            matrix[(row, column)] = number;
+            matrix[(column, row)] = number;
+        }
+        Ok(matrix)
+    }
+
     /// One of the codes that a cell names.
-    ///
-    /// # Errors
-    /// It names none of them.
     pub fn code<T: Copy + Serialize>(
         &self,
         codes: &[T],
@@ -177,6 +143,24 @@ impl TableCells<'_> {
     }
 }
 
+/// Rows and columns of the upper triangle of a square matrix, row by row.
+fn upper_triangle(size: usize) -> impl Iterator<Item = (usize, usize)> {
+    (0..size).flat_map(move |row| (row..size).map(move |column| (row, column)))
+}
+
+/// The upper triangle of a square matrix, row by row.
+pub(crate) fn triangle<const SIZE: usize, const CELLS: usize>(
+    matrix: &SMatrix<f64, SIZE, SIZE>,
+) -> [f64; CELLS] {
+    let mut places = upper_triangle(SIZE);
+    std::array::from_fn(|_| places.next().map_or(0.0, |place| matrix[place]))
+}
+
+/// A cell for each number. Without numbers they are empty.
+pub(crate) fn cells<const CELLS: usize>(numbers: Option<[f64; CELLS]>) -> [Option<f64>; CELLS] {
+    std::array::from_fn(|k| numbers.map(|numbers| numbers[k]))
+}
+
 /// What a code is called in a file.
 fn name(code: impl Serialize) -> String {
     match serde_json::to_value(code) {
@@ -188,8 +172,8 @@ fn name(code: impl Serialize) -> String {
 /// Reads a CSV file by its column names.
 ///
 /// # Errors
-/// The file cannot be read, columns are missing, or a cell is not as it should be: with its line and
-/// column.
+/// The file cannot be read, columns are missing, or a cell is not as it should be: with its line
+/// and column.
 pub fn read<R: TableRow>(path: &Path) -> Result<Vec<R>, TableError> {
     let unreadable = |error: csv::Error| TableError::Unreadable {
         path: path.to_owned(),
@@ -201,7 +185,7 @@ pub fn read<R: TableRow>(path: &Path) -> Result<Vec<R>, TableError> {
     let columns: BTreeMap<String, usize> =
         header.iter().map(|name| name.trim().to_owned()).zip(0..).collect();
     let missing: Vec<&'static str> =
-        R::REQUIRED.iter().copied().filter(|name| !columns.contains_key(*name)).collect();
+        R::REQUIRED.split(',').filter(|name| !columns.contains_key(*name)).collect();
     if !missing.is_empty() {
         return Err(TableError::Columns {
             path: path.to_owned(),
@@ -229,7 +213,7 @@ mod tests {
     }
 
     impl TableRow for Point {
-        const REQUIRED: &'static [&'static str] = &["x", "n"];
+        const REQUIRED: &'static str = "x,n";
         const CURE: &'static str = "write both";
 
         fn parse(cells: &TableCells<'_>) -> Result<Self, TableError> {

@@ -8,8 +8,8 @@ use serde::Serialize;
 use crate::table::{TableCells, TableError, TableRow};
 use crate::writer::WrittenRow;
 
-/// A row of the truth: the body's pose in the camera frame. Columns of the reference recordings, and the
-/// camera's own attitude.
+/// A row of the truth: the body's pose in the camera frame. Columns of the reference recordings,
+/// and the camera's own attitude.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct TruthRow {
     /// The source's frame, from 0.
@@ -58,8 +58,8 @@ pub struct TruthRow {
     pub exposure_s: f64,
     /// 1 if a whole marker is seen at less than 65 degrees of incidence.
     pub localisable: u32,
-    /// The camera's attitude in the world: turns directions in the camera frame into the world's. All
-    /// four are empty where it is not known.
+    /// The camera's attitude in the world: turns directions in the camera frame into the world's.
+    /// All four are empty where it is not known.
     pub camera_qw: Option<f64>,
     /// Attitude.
     pub camera_qx: Option<f64>,
@@ -71,35 +71,10 @@ pub struct TruthRow {
 
 impl WrittenRow for TruthRow {
     fn names() -> Vec<&'static str> {
-        vec![
-            "frame",
-            "t_s",
-            "body",
-            "x",
-            "y",
-            "z",
-            "qw",
-            "qx",
-            "qy",
-            "qz",
-            "dist_m",
-            "az_deg",
-            "el_deg",
-            "n_markers_vis50",
-            "n_markers_vis90",
-            "best_side_px",
-            "blur_px",
-            "env",
-            "observer_yaw_deg",
-            "ev",
-            "iso",
-            "exposure_s",
-            "localisable",
-            "camera_qw",
-            "camera_qx",
-            "camera_qy",
-            "camera_qz",
-        ]
+        let header = "frame,t_s,body,x,y,z,qw,qx,qy,qz,dist_m,az_deg,el_deg,n_markers_vis50,\
+             n_markers_vis90,best_side_px,blur_px,env,observer_yaw_deg,ev,iso,exposure_s,\
+             localisable,camera_qw,camera_qx,camera_qy,camera_qz";
+        header.split(',').collect()
     }
 }
 
@@ -160,20 +135,7 @@ impl TruthRow {
 }
 
 impl TableRow for TruthRow {
-    const REQUIRED: &'static [&'static str] = &[
-        "frame",
-        "t_s",
-        "body",
-        "x",
-        "y",
-        "z",
-        "qw",
-        "qx",
-        "qy",
-        "qz",
-        "n_markers_vis90",
-        "localisable",
-    ];
+    const REQUIRED: &'static str = "frame,t_s,body,x,y,z,qw,qx,qy,qz,n_markers_vis90,localisable";
     const CURE: &'static str = "record the truth of a simulated flight with flockeye up --truth, or \
                                 write these columns of another one's";
 

@@ -22,9 +22,6 @@ pub struct TableWriter<R> {
 
 impl<R: WrittenRow> TableWriter<R> {
     /// Creates the file.
-    ///
-    /// # Errors
-    /// It cannot be written.
     pub fn create(path: &Path) -> anyhow::Result<Self> {
         let create = || -> csv::Result<_> {
             let mut writer = csv::WriterBuilder::new().has_headers(false).from_path(path)?;
@@ -44,9 +41,6 @@ impl<R: WrittenRow> TableWriter<R> {
     }
 
     /// Writes what is still in memory to the file.
-    ///
-    /// # Errors
-    /// As [`TableWriter::add`].
     pub fn finish(mut self) -> anyhow::Result<()> {
         self.writer.flush().with_context(|| format!("cannot write {}", self.path.display()))
     }

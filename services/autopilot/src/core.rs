@@ -1,37 +1,29 @@
-//! Which tracks are sent to the autopilot, and its odometry as the contract has it. It has no port and no clock.
+//! Tracks as the autopilot gets them, and its odometry as the contract has it. It has no port and
+//! no clock.
 
 use flockeye_autopilot::{NeighbourState, OdometryState};
 use flockeye_contract::{FrameStamp, OdometrySample, Track, TrackState};
 use flockeye_convert::{isometry, matrix6, pose, row_major};
 use flockeye_runtime::newest::Newest;
 
-/// What is known of earlier frames.
-#[derive(Debug, Default)]
-pub(crate) struct Core {
-    newest: Newest,
-}
-
-impl Core {
-    /// The neighbours of a frame that was exposed at `exposure_monotonic_ns`. Left out are tracks that may be
-    /// nobody, and those of frames older than the newest of their target.
-    pub(crate) fn on_tracks(
-        &mut self,
-        stamp: &FrameStamp,
-        exposure_monotonic_ns: i64,
-        tracks: &[Track],
-    ) -> Vec<NeighbourState> {
-        let newest = self.newest.tracks(stamp, tracks);
-        let neighbour = |track: &Track| {
-            Some(NeighbourState {
-                name: track.name.to_string(),
-                observer_from_target: isometry(&track.observer_from_target),
-                covariance: matrix6(&track.covariance),
-                exposure_monotonic_ns,
-                is_lost: is_lost(track.state)?,
-            })
-        };
-        newest.filter_map(neighbour).collect()
-    }
+/// The neighbours of a frame that was exposed at `exposure_monotonic_ns`. Left out are tracks that
+/// may be nobody, and those of frames older than the newest of their target.
+pub(crate) fn neighbours_of(
+    tracks: &[Track],
+    stamp: &FrameStamp,
+    exposure_monotonic_ns: i64,
+    newest: &mut Newest,
+) -> Vec<NeighbourState> {
+    let neighbour = |track: &Track| {
+        Some(NeighbourState {
+            name: track.name.to_string(),
+            observer_from_target: isometry(&track.observer_from_target),
+            covariance: matrix6(&track.covariance),
+            exposure_monotonic_ns,
+            is_lost: is_lost(track.state)?,
+        })
+    };
+    newest.tracks(stamp, tracks).filter_map(neighbour).collect()
 }
 
 /// Whether a track of this state has ended; none for one that may be nobody.
@@ -75,13 +67,13 @@ mod tests {
 
     #[test]
     fn a_track_is_not_sent_after_a_newer_one() {
-        let mut core = Core::default();
+        let mut newest = Newest::default();
         let stamp = |sequence| FrameStamp { sequence, ..FrameStamp::default() };
         let state = TrackState::Confirmed.code();
         let tracks = [Track { name: "kite".into(), state, ..Track::default() }];
-        let sent = core.on_tracks(&stamp(7), 70, &tracks);
+        let sent = neighbours_of(&tracks, &stamp(7), 70, &mut newest);
         assert_eq!((sent.len(), sent[0].exposure_monotonic_ns), (1, 70));
-        assert!(core.on_tracks(&stamp(6), 60, &tracks).is_empty());
+        assert!(neighbours_of(&tracks, &stamp(6), 60, &mut newest).is_empty());
     }
 
     #[test]

@@ -5,8 +5,8 @@
 //! | `core` | which tracks are sent, and odometry as the contract has it |
 //! | `stage` | the ports, and the line of `flockeye-autopilot` |
 //!
-//! It is an onlooker: it reads `track`, and no other stage waits for it. The gateway reads its `odometry`, and
-//! reports frames without it where none comes.
+//! It is an onlooker: it reads `track`, and no other stage waits for it. The gateway reads its
+//! `odometry`, and reports frames without it where none comes.
 
 mod core;
 mod stage;

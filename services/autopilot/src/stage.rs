@@ -1,20 +1,19 @@
 //! The ports around the line.
 
 use anyhow::Context as _;
-use flockeye_autopilot::{
-    Autopilot as Line, AutopilotError, AutopilotParameters, AutopilotStatus, Rates,
-};
-use flockeye_config::{Autopilot, Flow};
+use flockeye_autopilot::{AutopilotLine, AutopilotStatus};
+use flockeye_config::Flow;
 use flockeye_contract::{Odometries, Tracks};
-use flockeye_runtime::health::{Absence, SharedCounters};
+use flockeye_runtime::health::SharedCounters;
 use flockeye_runtime::logs::Throttle;
+use flockeye_runtime::newest::Newest;
 use flockeye_runtime::ports::{Ports, Publisher, Subscriber};
 use flockeye_runtime::{Context, Stage, Step, clock};
 
-use crate::core::{Core, sample_of};
+use crate::core::{neighbours_of, sample_of};
 
-/// How often it is looked whether odometry has come, nanoseconds. Peers get it with a frame's report, which
-/// leaves some 20 ms after the exposure.
+/// How often it is looked whether odometry has come, nanoseconds. Peers get it with a frame's
+/// report, which leaves some 20 ms after the exposure.
 const LOOK_NS: i64 = 5_000_000;
 /// How often the line's state is reported, nanoseconds.
 const DETAIL_NS: i64 = 500_000_000;
@@ -23,16 +22,14 @@ const DETAIL_NS: i64 = 500_000_000;
 pub(crate) struct AutopilotStage {
     tracks: Subscriber<Tracks>,
     odometries: Publisher<Odometries>,
-    line: Line,
+    line: AutopilotLine,
     link: String,
-    core: Core,
+    newest: Newest,
     flow: Flow,
     generation: u32,
     counters: SharedCounters,
     failures: Throttle,
     detail_ns: i64,
-    /// Since when the autopilot is not heard.
-    absence: Absence,
 }
 
 impl Stage for AutopilotStage {
@@ -45,15 +42,14 @@ impl Stage for AutopilotStage {
         Ok(Self {
             tracks: ports.subscriber()?,
             odometries: ports.publisher()?,
-            line: open(settings)?,
+            line: AutopilotLine::open(settings)?,
             link: settings.link.clone(),
-            core: Core::default(),
+            newest: Newest::default(),
             flow: pipeline.flow(),
             generation: context.identity.generation,
             counters: context.counters.clone(),
             failures: Throttle::default(),
             detail_ns: 0,
-            absence: Absence::default(),
         })
     }
 
@@ -61,8 +57,10 @@ impl Stage for AutopilotStage {
         while let Some(message) = self.tracks.receive()? {
             let stamp = &message.header.stamp;
             let exposure_ns = clock::exposure_ns(stamp, self.flow);
-            for neighbour in self.core.on_tracks(stamp, exposure_ns, message.items()) {
-                self.note(self.line.neighbour(&neighbour));
+            for neighbour in neighbours_of(message.items(), stamp, exposure_ns, &mut self.newest) {
+                let sent = self.line.neighbour(&neighbour);
+                let what = "a neighbour is not sent to the autopilot";
+                self.counters.note_sent(sent, &mut self.failures, what);
             }
         }
         if let Some(state) = self.line.take_odometry() {
@@ -78,12 +76,6 @@ impl Stage for AutopilotStage {
 }
 
 impl AutopilotStage {
-    /// Counts a neighbour's state that the autopilot gets, or does not.
-    fn note(&mut self, sent: Result<(), AutopilotError>) {
-        let what = "a neighbour is not sent to the autopilot";
-        self.counters.note_sent(sent, &mut self.failures, what);
-    }
-
     /// Reports whether the autopilot is there.
     fn look(&mut self, now_ns: i64) {
         let AutopilotStatus { is_open, is_heard, .. } = self.line.status();
@@ -93,34 +85,6 @@ impl AutopilotStage {
             (false, false) => "not open",
         };
         self.counters.set_detail(format!("{}: {what}", self.link));
-        self.counters.set_state(self.absence.state(is_heard, now_ns));
-    }
-}
-
-fn open(settings: &Autopilot) -> Result<Line, AutopilotError> {
-    Line::open(&AutopilotParameters {
-        link: settings.link.clone(),
-        system_id: settings.system_id,
-        component_id: settings.component_id,
-        target: settings.target.clone(),
-        rates: Rates {
-            target_hz: settings.target_hz,
-            obstacles_hz: settings.obstacles_hz,
-            odometry_hz: settings.odometry_hz,
-        },
-        max_age_ms: settings.max_age_ms,
-        obstacle_range_m: settings.obstacle_range_m,
-    })
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_setting_that_cannot_work_is_refused_with_its_cure() {
-        let settings = Autopilot { link: "udpin:14540".into(), ..Autopilot::default() };
-        let error = open(&settings).map(drop).map_err(|error| error.to_string());
-        assert!(error.is_err_and(|error| error.starts_with("link: 'udpin:14540'")));
+        self.counters.note_link(is_heard, now_ns);
     }
 }

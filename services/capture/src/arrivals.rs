@@ -9,6 +9,19 @@ use gstreamer::prelude::*;
 
 use flockeye_runtime::clock::monotonic_ns;
 
+/// Calls `note` with the time stamp of each buffer that goes through a pad.
+pub(crate) fn on_each_buffer(
+    pad: &gst::Pad,
+    note: impl Fn(gst::ClockTime) + Send + Sync + 'static,
+) {
+    pad.add_probe(gst::PadProbeType::BUFFER, move |_, info| {
+        if let Some(pts) = info.buffer().and_then(|buffer| buffer.pts()) {
+            note(pts);
+        }
+        gst::PadProbeReturn::Ok
+    });
+}
+
 /// When the camera's coded frames came in, by their time stamps.
 ///
 /// Decoding takes a time of its own that varies; what counts is when the data left the camera's
@@ -28,12 +41,7 @@ impl Arrivals {
         while let Ok(Some(source)) = sources.next() {
             let Some(pad) = source.static_pad("src") else { continue };
             let noted = Arc::clone(&arrivals);
-            pad.add_probe(gst::PadProbeType::BUFFER, move |_, info| {
-                if let Some(pts) = info.buffer().and_then(|buffer| buffer.pts()) {
-                    noted.enter(pts, monotonic_ns());
-                }
-                gst::PadProbeReturn::Ok
-            });
+            on_each_buffer(&pad, move |pts| noted.enter(pts, monotonic_ns()));
         }
         arrivals
     }

@@ -16,7 +16,6 @@ pub(crate) struct ByteStream {
     sets: Vec<Vec<u8>>,
 }
 
-/// What a unit is for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Unit {
     /// The unit begins a picture.
@@ -46,7 +45,6 @@ impl ByteStream {
         Ok(Self { codec, length_bytes, sets })
     }
 
-    /// The packet of a coded picture.
     pub(crate) fn packet(&mut self, picture: &[u8], is_key: bool) -> Result<Vec<u8>, String> {
         let units = match self.length_bytes {
             Some(length_bytes) => units_by_length(picture, length_bytes),
@@ -98,7 +96,6 @@ impl ByteStream {
     }
 }
 
-/// Takes `count` bytes from the beginning.
 fn take<'b>(rest: &mut &'b [u8], count: usize) -> Option<&'b [u8]> {
     let (taken, left) = rest.split_at_checked(count)?;
     *rest = left;

@@ -5,16 +5,11 @@ use std::time::Duration;
 /// Numbers decoded frames, before any is dropped, and counts their time from the first one.
 #[derive(Debug, Default)]
 pub(crate) struct Census {
-    first: Duration,
+    pub(crate) first: Duration,
     previous: Option<(u64, Duration)>,
 }
 
 impl Census {
-    /// The time of the first frame in the stream.
-    pub(crate) fn first(&self) -> Duration {
-        self.first
-    }
-
     /// Numbers the next decoded frame. `time` is its time stamp in the stream, `frame` the time
     /// from frame to frame, for streams that stamp nothing. Returns its sequence number and its
     /// time from the stream's first frame.

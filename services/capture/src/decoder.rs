@@ -1,10 +1,11 @@
 //! Which decoder GStreamer chose, and how it is set.
 
+use flockeye_config::Flow;
 use gstreamer as gst;
 use gstreamer::prelude::*;
 
 use crate::input::Input;
-use crate::parameters::{Paced, SourceParameters};
+use crate::parameters::SourceParameters;
 
 /// How a software decoder uses several processors.
 ///
@@ -26,8 +27,8 @@ impl Threading {
     /// The way for an input, with the threads that are configured.
     pub(crate) fn of(input: &Input, params: &SourceParameters) -> Self {
         match (params.flow, input.is_camera(), params.decoder_threads) {
-            (Paced::RealTime, true, 0) => Self::Slices,
-            (Paced::RealTime, true, threads) if threads > 1 => Self::Frames(threads),
+            (Flow::Latest, true, 0) => Self::Slices,
+            (Flow::Latest, true, threads) if threads > 1 => Self::Frames(threads),
             (_, _, threads) => Self::Chosen(threads),
         }
     }
@@ -78,40 +79,28 @@ pub(crate) fn chosen(pipeline: &gst::Pipeline) -> Vec<String> {
         let kind = if class_of(&element).contains("Hardware") { "hardware" } else { "software" };
         element.factory().map(|factory| format!("{} ({kind})", factory.name()))
     };
-    in_use(pipeline).into_iter().filter_map(name).collect()
+    elements(pipeline).filter(is_decoder).filter_map(name).collect()
 }
 
 /// Whether one of the decoders in use takes video: anything but single pictures, as JPEG and PNG
 /// are.
 pub(crate) fn takes_video(pipeline: &gst::Pipeline) -> bool {
-    let takes_images = |element: &gst::Element| {
+    let takes_images = |element: gst::Element| {
         let caps = element.static_pad("sink").and_then(|pad| pad.current_caps());
         caps.and_then(|caps| Some(caps.structure(0)?.name().starts_with("image/"))) == Some(true)
     };
-    !in_use(pipeline).iter().all(takes_images)
+    !elements(pipeline).filter(is_decoder).all(takes_images)
 }
 
-fn in_use(pipeline: &gst::Pipeline) -> Vec<gst::Element> {
-    let mut decoders = Vec::new();
-    let mut elements = pipeline.iterate_recurse();
-    while let Ok(Some(element)) = elements.next() {
-        if is_decoder(&element) {
-            decoders.push(element);
-        }
-    }
-    decoders
+/// All elements of a pipeline, those within bins too.
+pub(crate) fn elements(pipeline: &gst::Pipeline) -> impl Iterator<Item = gst::Element> + use<> {
+    pipeline.iterate_recurse().into_iter().map_while(Result::ok)
 }
 
 /// How many streams the file's demuxer offers; 0 without one.
 pub(crate) fn streams(pipeline: &gst::Pipeline) -> usize {
-    let mut count = 0;
-    let mut elements = pipeline.iterate_recurse();
-    while let Ok(Some(element)) = elements.next() {
-        if class_of(&element).contains("Demux") {
-            count += usize::from(element.num_src_pads());
-        }
-    }
-    count
+    let demuxers = elements(pipeline).filter(|element| class_of(element).contains("Demux"));
+    demuxers.map(|demuxer| usize::from(demuxer.num_src_pads())).sum()
 }
 
 pub(crate) fn is_decoder(element: &gst::Element) -> bool {

@@ -3,13 +3,13 @@
 use std::fmt;
 use std::time::Duration;
 
-use crate::Picture;
+use crate::SourcePicture;
 
-/// What [`crate::Source::next`] came back with.
+/// What [`crate::FrameSource::next`] came back with.
 #[derive(Debug)]
 pub enum Event {
     /// A frame.
-    Frame(Picture),
+    Frame(SourcePicture),
     /// Nothing happened within the time given.
     Idle,
     /// A recording starts again; sequence and stream time count from 0. Raise the epoch.

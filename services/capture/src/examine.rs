@@ -14,7 +14,6 @@ use crate::SourceSpec;
 const CODECS: [(&str, &str); 3] =
     [("H.264", "video/x-h264"), ("H.265", "video/x-h265"), ("JPEG", "image/jpeg")];
 
-/// Examines the machine for the configured source.
 pub(crate) fn examine(pipeline: &Pipeline) -> Vec<Finding> {
     if let Err(error) = gst::init() {
         return vec![Finding::problem(
@@ -102,7 +101,6 @@ fn decoder(codec: &str, caps: &str) -> Finding {
     }
 }
 
-/// The modes of a Video4Linux camera.
 fn modes(device: &Path, (width, height): (u32, u32)) -> Finding {
     const TOPIC: &str = "camera";
     let name = device.display();

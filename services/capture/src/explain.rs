@@ -10,7 +10,6 @@ use crate::input::Input;
 /// An error from the pipeline's bus.
 #[derive(Debug, Clone)]
 pub(crate) struct Failure {
-    /// GStreamer's message.
     pub(crate) error: gst::glib::Error,
     /// What a missing plugin would have decoded.
     pub(crate) undecodable: Option<String>,
@@ -28,7 +27,6 @@ impl Failure {
         self.error.kind::<gst::StreamError>().is_some_and(|kind| kinds.contains(&kind))
     }
 
-    /// Why a file cannot be opened.
     pub(crate) fn for_file(&self, path: &Path) -> CaptureError {
         let path = path.to_owned();
         if let Some(what) = &self.undecodable {

@@ -4,22 +4,16 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use crate::CaptureError;
-use crate::file;
-use crate::input::Input;
-use crate::parameters::{Paced, SourceParameters};
-use crate::picture::{Picture, PictureStamp};
-use crate::playback::{Playback, PlaybackEvent};
+use flockeye_config::Flow;
 use flockeye_runtime::clock::monotonic_ns;
 
-/// What a folder gives next.
-#[derive(Debug)]
-pub(crate) enum FolderStep {
-    Picture(Picture),
-    Idle,
-    Skipped { what: String, why: String },
-    Over,
-}
+use crate::CaptureError;
+use crate::event::{EndReason, Event};
+use crate::file;
+use crate::input::Input;
+use crate::parameters::SourceParameters;
+use crate::picture::{PictureStamp, SourcePicture};
+use crate::playback::{Playback, PlaybackEvent};
 
 /// A folder of images, in the order of their names.
 #[derive(Debug)]
@@ -27,10 +21,9 @@ pub(crate) struct Folder {
     path: PathBuf,
     images: Vec<PathBuf>,
     params: SourceParameters,
-    /// The next image to decode.
     position: usize,
     /// The decoded image that waits for its time.
-    waiting: Option<(usize, Picture)>,
+    waiting: Option<(usize, SourcePicture)>,
     /// When the first image was due: on the waiting clock, and on CLOCK_MONOTONIC.
     started: Option<(Instant, i64)>,
     handed_out: u64,
@@ -75,19 +68,22 @@ impl Folder {
     }
 
     /// Waits for at most `timeout`; decoding an image takes the time it takes.
-    pub(crate) fn next(&mut self, timeout: Duration) -> FolderStep {
+    pub(crate) fn next(&mut self, timeout: Duration) -> Event {
         let deadline = Instant::now() + timeout;
         let (index, picture) = match self.waiting.take() {
             Some(waiting) => waiting,
             None => {
                 let index = self.upcoming();
-                let Some(file) = self.images.get(index) else { return FolderStep::Over };
+                let Some(file) = self.images.get(index) else {
+                    let (frames, skipped) = (self.handed_out, self.skipped);
+                    return Event::End(EndReason::Complete { frames, skipped });
+                };
                 self.position = index + 1;
                 match decode(file, &self.params) {
                     Ok(picture) => (index, picture),
                     Err(why) => {
                         self.skipped += 1;
-                        return FolderStep::Skipped { what: file.display().to_string(), why };
+                        return Event::Skipped { what: file.display().to_string(), why };
                     }
                 }
             }
@@ -98,7 +94,7 @@ impl Folder {
     /// The next image to decode: in real time those are passed over whose successor is due.
     fn upcoming(&self) -> usize {
         match self.started {
-            Some((start, _)) if self.params.flow == Paced::RealTime => {
+            Some((start, _)) if self.params.flow == Flow::Latest => {
                 let due = (start.elapsed().as_secs_f64() * self.params.images_per_second) as usize;
                 self.position.max(due)
             }
@@ -106,46 +102,31 @@ impl Folder {
         }
     }
 
-    fn hand_out(&mut self, index: usize, mut picture: Picture, deadline: Instant) -> FolderStep {
+    fn hand_out(&mut self, index: usize, mut picture: SourcePicture, deadline: Instant) -> Event {
         let stream_time = Duration::from_secs_f64(index as f64 / self.params.images_per_second);
         let stream_ns = stream_time.as_nanos() as i64;
         let mut exposure_ns = stream_ns;
-        if self.params.flow == Paced::RealTime {
+        if self.params.flow == Flow::Latest {
             let begun = || (Instant::now() - stream_time, monotonic_ns() - stream_ns);
             let (start, start_ns) = *self.started.get_or_insert_with(begun);
             let due = start + stream_time;
             std::thread::sleep(due.min(deadline).saturating_duration_since(Instant::now()));
             if Instant::now() < due {
                 self.waiting = Some((index, picture));
-                return FolderStep::Idle;
+                return Event::Idle;
             }
             exposure_ns = start_ns + stream_ns;
         }
-        picture.set_stamp(PictureStamp {
-            sequence: index as u64,
-            stream_time,
-            exposure_ns,
-            pts: None,
-        });
+        let sequence = index as u64;
+        picture.stamp = PictureStamp { sequence, stream_time, exposure_ns, pts: None };
         self.handed_out += 1;
-        FolderStep::Picture(picture)
+        Event::Frame(picture)
     }
 
-    /// Images handed out so far.
-    pub(crate) fn handed_out(&self) -> u64 {
-        self.handed_out
-    }
-
-    /// Images that could not be used so far.
-    pub(crate) fn skipped(&self) -> u64 {
-        self.skipped
-    }
-
-    /// What is in it.
     pub(crate) fn describe(&self) -> String {
         let pace = match self.params.flow {
-            Paced::RealTime => format!("{} a second", self.params.images_per_second),
-            Paced::Lossless => "each as soon as it is wanted".to_owned(),
+            Flow::Latest => format!("{} a second", self.params.images_per_second),
+            Flow::Lossless => "each as soon as it is wanted".to_owned(),
         };
         format!("{}: {} images, {pace}", self.path.display(), self.images.len())
     }
@@ -157,9 +138,9 @@ fn is_image(file: &Path) -> bool {
 }
 
 /// Decodes one image. The error is the reason why it cannot be used.
-fn decode(path: &Path, params: &SourceParameters) -> Result<Picture, String> {
+fn decode(path: &Path, params: &SourceParameters) -> Result<SourcePicture, String> {
     file::check(path).map_err(|error| error.to_string())?;
-    let lossless = SourceParameters { flow: Paced::Lossless, ..params.clone() };
+    let lossless = SourceParameters { flow: Flow::Lossless, ..params.clone() };
     let mut playback = Playback::recording(Input::File(path.to_owned()), &lossless)
         .map_err(|error| error.to_string())?;
     match playback.next(Duration::from_secs(20)).map_err(|error| error.to_string())? {

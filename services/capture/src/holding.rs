@@ -14,7 +14,7 @@ use flockeye_runtime::lock::lock;
 use gstreamer as gst;
 use gstreamer::prelude::*;
 
-use crate::arrivals::Arrivals;
+use crate::arrivals::{Arrivals, on_each_buffer};
 use crate::decoder;
 use flockeye_runtime::clock::monotonic_ns;
 
@@ -65,20 +65,12 @@ impl DecoderWatch {
         let count = Arc::new(Mutex::new(FrameCount::default()));
         lock(&self.counts).push(Arc::clone(&count));
         let (watch, entering) = (Arc::clone(self), Arc::clone(&count));
-        sink.add_probe(gst::PadProbeType::BUFFER, move |_, info| {
-            if let Some(pts) = info.buffer().and_then(|buffer| buffer.pts()) {
-                let arrival_ns = watch.arrivals.find(pts);
-                let waited_ns = arrival_ns.map(|arrival_ns| monotonic_ns() - arrival_ns);
-                lock(&entering).enter(pts, waited_ns);
-            }
-            gst::PadProbeReturn::Ok
+        on_each_buffer(&sink, move |pts| {
+            let arrival_ns = watch.arrivals.find(pts);
+            let waited_ns = arrival_ns.map(|arrival_ns| monotonic_ns() - arrival_ns);
+            lock(&entering).enter(pts, waited_ns);
         });
-        src.add_probe(gst::PadProbeType::BUFFER, move |_, info| {
-            if let Some(pts) = info.buffer().and_then(|buffer| buffer.pts()) {
-                lock(&count).leave(pts, monotonic_ns());
-            }
-            gst::PadProbeReturn::Ok
-        });
+        on_each_buffer(&src, move |pts| lock(&count).leave(pts, monotonic_ns()));
     }
 
     /// What was noticed since the last call.
@@ -87,7 +79,6 @@ impl DecoderWatch {
     }
 }
 
-/// What is counted.
 #[derive(Debug, Default)]
 struct FrameCount {
     /// Frames that went in and have not come out, in that order.
@@ -129,7 +120,6 @@ impl FrameCount {
         }
     }
 
-    /// A picture comes out.
     fn leave(&mut self, pts: gst::ClockTime, now_ns: i64) {
         let is_known = self.inside.contains(&pts);
         // Pictures come out in the order of their time stamps: one before this was lost.

@@ -10,7 +10,7 @@ use flockeye_runtime::clock;
 use flockeye_runtime::ports::{Ports, Publisher};
 use flockeye_tables::ImuRow;
 
-use crate::Picture;
+use crate::SourcePicture;
 use crate::recorded_flight::FlightClock;
 
 /// Reach of the samples beyond an exposure, seconds, besides `camera.latency_ms`: what has been
@@ -21,7 +21,6 @@ const BEYOND_S: f64 = 0.01;
 #[derive(Debug)]
 pub(crate) struct RecordedSensor {
     rows: Vec<ImuRow>,
-    /// The next row to send.
     next: usize,
     epoch: u32,
     /// Offset from the sensor's time to the camera's, seconds.
@@ -29,7 +28,6 @@ pub(crate) struct RecordedSensor {
     latency_s: f64,
 }
 
-/// Where samples come from.
 enum SampleSource {
     /// A file beside the recording.
     File(RecordedSensor),
@@ -37,7 +35,6 @@ enum SampleSource {
     Flight(FlightClock),
 }
 
-/// The sensor, and its port.
 pub(crate) struct InertialPort {
     sensor: SampleSource,
     imus: Publisher<Imus>,
@@ -69,7 +66,6 @@ impl RecordedSensor {
         Self { rows, next: 0, epoch: 0, time_offset_s, latency_s }
     }
 
-    /// The recording begins again.
     pub(crate) fn begin_epoch(&mut self) {
         self.next = 0;
         self.epoch += 1;
@@ -96,9 +92,6 @@ impl RecordedSensor {
 
 impl InertialPort {
     /// Opens the recording's sensor where one is configured.
-    ///
-    /// # Errors
-    /// As [`RecordedSensor::read`], or the port cannot be opened.
     pub(crate) fn open(
         pipeline: &Pipeline,
         generation: u32,
@@ -116,12 +109,9 @@ impl InertialPort {
 
     /// Sends what has been measured when a frame is there: before the frame, so that egomotion has
     /// it first.
-    ///
-    /// # Errors
-    /// The port's.
     pub(crate) fn send_before(
         &mut self,
-        picture: &Picture,
+        picture: &SourcePicture,
         stamp: &FrameStamp,
     ) -> anyhow::Result<()> {
         let rows = match &mut self.sensor {
@@ -138,7 +128,6 @@ impl InertialPort {
         Ok(())
     }
 
-    /// The recording begins again.
     pub(crate) fn begin_epoch(&mut self) {
         match &mut self.sensor {
             SampleSource::File(sensor) => sensor.begin_epoch(),

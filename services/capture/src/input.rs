@@ -2,18 +2,18 @@
 
 use std::path::PathBuf;
 
+use flockeye_contract::VideoCodec;
 use gstreamer as gst;
 use gstreamer::prelude::*;
 
 use crate::CaptureError;
-use crate::recorded_flight::Coding;
 
 /// What one pipeline plays.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) enum Input {
     File(PathBuf),
-    /// Coded pictures of a recording of a flight, which are fed in.
-    Flight(PathBuf, Coding),
+    /// Coded pictures of a recording of a flight, which are fed in; [`VideoCodec::None`]: JPEGs.
+    Flight(PathBuf, VideoCodec),
     V4l2(PathBuf),
     Theta,
     Description(String),
@@ -63,11 +63,11 @@ impl Input {
                 source.set_property("location", location);
                 chain(&[source])
             }
-            Self::Flight(_, coding) => {
-                let caps = match coding {
-                    Coding::Jpeg => gst::Caps::builder("image/jpeg").build(),
-                    Coding::H264 => byte_stream("video/x-h264"),
-                    Coding::H265 => byte_stream("video/x-h265"),
+            Self::Flight(_, codec) => {
+                let caps = match codec {
+                    VideoCodec::None => gst::Caps::builder("image/jpeg").build(),
+                    VideoCodec::H264 => byte_stream("video/x-h264"),
+                    VideoCodec::H265 => byte_stream("video/x-h265"),
                 };
                 let feed = element("appsrc")?;
                 feed.set_property("name", FEED);

@@ -1,16 +1,16 @@
 //! Where frames come from: a camera, a video file, a folder of images or a recording of a flight,
 //! read through GStreamer.
 //!
-//! A [`Source`] hands out luma planes, straight from the decoder's own memory. Markers need no
+//! A [`FrameSource`] hands out luma planes, straight from the decoder's own memory. Markers need no
 //! colour, so nothing is converted that has a luma plane of its own:
 //!
 //! ```no_run
 //! use std::time::Duration;
-//! use flockeye_capture::{Event, Source, SourceParameters, SourceSpec};
+//! use flockeye_capture::{Event, FrameSource, SourceParameters, SourceSpec};
 //!
 //! # fn main() -> Result<(), flockeye_capture::CaptureError> {
 //! let spec: SourceSpec = "flight.mp4".parse()?;
-//! let mut source = Source::open(spec, SourceParameters::new(3840, 1920))?;
+//! let mut source = FrameSource::open(spec, SourceParameters::new(3840, 1920))?;
 //! println!("{}", source.describe());
 //! loop {
 //!     match source.next(Duration::from_millis(100))? {
@@ -28,8 +28,8 @@
 //! ```
 //!
 //! What runs where: GStreamer decodes in threads of its own and puts each frame into a mailbox;
-//! [`Source::next`] takes from it. In [`Paced::RealTime`] the newest frame replaces the one that
-//! nobody took; in [`Paced::Lossless`] the decoder waits until there is room.
+//! [`FrameSource::next`] takes from it. In [`Flow::Latest`](flockeye_config::Flow) the newest frame
+//! replaces the one that nobody took; in `Flow::Lossless` the decoder waits until there is room.
 
 #![warn(unreachable_pub)]
 
@@ -48,7 +48,6 @@ mod holding;
 mod inertial;
 mod input;
 mod mailbox;
-mod packet;
 mod packet_port;
 mod packet_tap;
 mod parameters;
@@ -63,10 +62,10 @@ mod stage;
 
 pub use error::CaptureError;
 pub use event::{EndReason, Event};
-pub use packet::{Packet, PacketWish};
-pub use parameters::{Paced, SourceParameters};
-pub use picture::Picture;
-pub use source::Source;
+pub use packet_tap::Packet;
+pub use parameters::SourceParameters;
+pub use picture::SourcePicture;
+pub use source::FrameSource;
 pub use spec::SourceSpec;
 
 /// The capture stage's process. It is here so that it is compiled once, with the library.

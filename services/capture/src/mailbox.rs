@@ -1,27 +1,15 @@
 //! Where the decoder's thread leaves frames and the consumer takes them.
 
-use flockeye_runtime::lock::lock;
 use std::collections::VecDeque;
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-/// What happens to a frame that finds the mailbox full.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum WhenFull {
-    /// The new item replaces the oldest one.
-    ReplaceOldest,
-    /// The decoder waits until there is room.
-    HoldBack,
-}
-
-/// The mailbox is closed: nobody will take what is put in.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) struct MailboxClosed;
+use flockeye_config::Flow;
+use flockeye_runtime::lock::lock;
 
 /// What the consumer finds.
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) enum MailboxContent<T, F> {
-    /// A frame.
     Item(T),
     /// There will be no more.
     Ended,
@@ -39,7 +27,7 @@ const GRACE: Duration = Duration::from_secs(1);
 #[derive(Debug)]
 pub(crate) struct Mailbox<T, F> {
     room: usize,
-    when_full: WhenFull,
+    flow: Flow,
     state: Mutex<MailboxState<T, F>>,
     changed: Condvar,
 }
@@ -54,8 +42,9 @@ struct MailboxState<T, F> {
 }
 
 impl<T, F: Clone> Mailbox<T, F> {
-    /// A mailbox for `room` frames (at least one).
-    pub(crate) fn new(room: usize, when_full: WhenFull) -> Self {
+    /// A mailbox for `room` frames (at least one). Where it is full, the newest frame replaces the
+    /// oldest, or in lossless flow the decoder waits until there is room.
+    pub(crate) fn new(room: usize, flow: Flow) -> Self {
         let state = MailboxState {
             queue: VecDeque::new(),
             ready: false,
@@ -63,26 +52,26 @@ impl<T, F: Clone> Mailbox<T, F> {
             closed: false,
             failure: None,
         };
-        Self { room: room.max(1), when_full, state: Mutex::new(state), changed: Condvar::new() }
+        Self { room: room.max(1), flow, state: Mutex::new(state), changed: Condvar::new() }
     }
 
-    /// Leaves a frame.
-    pub(crate) fn put(&self, item: T) -> Result<(), MailboxClosed> {
+    /// Leaves a frame. False where the mailbox is closed: nobody will take it.
+    pub(crate) fn put(&self, item: T) -> bool {
         let mut state = self.lock();
         while state.queue.len() >= self.room && !state.closed {
-            match self.when_full {
-                WhenFull::ReplaceOldest => drop(state.queue.pop_front()),
-                WhenFull::HoldBack => {
+            match self.flow {
+                Flow::Latest => drop(state.queue.pop_front()),
+                Flow::Lossless => {
                     state = self.changed.wait(state).unwrap_or_else(PoisonError::into_inner)
                 }
             }
         }
         if state.closed {
-            return Err(MailboxClosed);
+            return false;
         }
         state.queue.push_back(item);
         self.changed.notify_all();
-        Ok(())
+        true
     }
 
     /// The first frame is decoded and waits behind the sink.
@@ -180,14 +169,14 @@ mod tests {
     const NOW: Duration = Duration::ZERO;
     const LONG: Duration = Duration::from_secs(20);
 
-    fn mailbox(when_full: WhenFull) -> Mailbox<u32, &'static str> {
-        Mailbox::new(2, when_full)
+    fn mailbox(flow: Flow) -> Mailbox<u32, &'static str> {
+        Mailbox::new(2, flow)
     }
 
     #[test]
     fn the_newest_replace_the_oldest() {
-        let mailbox = mailbox(WhenFull::ReplaceOldest);
-        (0..5).for_each(|k| mailbox.put(k).unwrap());
+        let mailbox = mailbox(Flow::Latest);
+        (0..5).for_each(|k| assert!(mailbox.put(k)));
         mailbox.end();
         let taken: Vec<_> = (0..3).map(|_| mailbox.take(NOW)).collect();
         assert_eq!(
@@ -198,11 +187,11 @@ mod tests {
 
     #[test]
     fn a_held_back_decoder_loses_nothing() {
-        let mailbox = Arc::new(mailbox(WhenFull::HoldBack));
+        let mailbox = Arc::new(mailbox(Flow::Lossless));
         let decoder = std::thread::spawn({
             let mailbox = Arc::clone(&mailbox);
             move || {
-                (0..50).for_each(|k| mailbox.put(k).unwrap());
+                (0..50).for_each(|k| assert!(mailbox.put(k)));
                 mailbox.end();
             }
         });
@@ -215,22 +204,22 @@ mod tests {
 
     #[test]
     fn closing_frees_a_held_back_decoder() {
-        let mailbox = Arc::new(mailbox(WhenFull::HoldBack));
+        let mailbox = Arc::new(mailbox(Flow::Lossless));
         let decoder = std::thread::spawn({
             let mailbox = Arc::clone(&mailbox);
-            move || (0..).find_map(|k| mailbox.put(k).err())
+            move || (0..).any(|k| !mailbox.put(k))
         });
         mailbox.close();
-        assert_eq!(decoder.join().unwrap(), Some(MailboxClosed));
+        assert!(decoder.join().unwrap());
     }
 
     #[test]
     fn a_failure_waits_for_the_frames_before_it() {
-        let mailbox = mailbox(WhenFull::HoldBack);
+        let mailbox = mailbox(Flow::Lossless);
         mailbox.fail("cause");
         mailbox.fail("echo");
         assert_eq!(mailbox.take(NOW), MailboxContent::TimedOut);
-        mailbox.put(7).unwrap();
+        assert!(mailbox.put(7));
         mailbox.end();
         assert_eq!(mailbox.take(NOW), MailboxContent::Item(7));
         assert_eq!(mailbox.take(NOW), MailboxContent::Failed("cause"));
@@ -239,7 +228,7 @@ mod tests {
 
     #[test]
     fn a_failure_without_an_end_is_told_all_the_same() {
-        let mailbox = mailbox(WhenFull::HoldBack);
+        let mailbox = mailbox(Flow::Lossless);
         mailbox.fail("cause");
         assert_eq!(mailbox.take(LONG), MailboxContent::Failed("cause"));
         assert_eq!(mailbox.wait_ready(LONG), Err("cause"));

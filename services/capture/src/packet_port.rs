@@ -1,5 +1,7 @@
 //! Publishes the coded pictures of the source while somebody reads them.
 
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use flockeye_config::{Flow, Pipeline};
@@ -7,13 +9,14 @@ use flockeye_contract::{MAX_PACKET_BYTES, PacketHeader, Packets, VideoCodec};
 use flockeye_runtime::logs::Throttle;
 use flockeye_runtime::ports::{Ports, Publisher};
 
-use crate::Source;
-use crate::packet::{Packet, PacketWish};
+use crate::FrameSource;
+use crate::packet_tap::Packet;
 
 /// The port, and who reads there.
 pub(crate) struct PacketPort {
     port: Publisher<Packets>,
-    wish: PacketWish,
+    /// Whether somebody wants packets: the source looks here.
+    are_wanted: Arc<AtomicBool>,
     /// Readers that were informed last that there are no packets.
     informed: usize,
     flow: Flow,
@@ -23,31 +26,24 @@ pub(crate) struct PacketPort {
 }
 
 impl PacketPort {
-    /// Opens the port. The source knows by `wish` whether somebody reads.
-    ///
-    /// # Errors
-    /// The port cannot be opened.
+    /// Opens the port. The source knows by `are_wanted` whether somebody reads.
     pub(crate) fn open(
         pipeline: &Pipeline,
         generation: u32,
-        wish: PacketWish,
+        are_wanted: Arc<AtomicBool>,
         ports: &mut Ports,
     ) -> anyhow::Result<Self> {
         let port = ports.side_publisher()?;
         let latency = Duration::try_from_secs_f64(pipeline.camera.latency_ms * 1e-3);
         let latency_ns = latency.map_or(0, |latency| latency.as_nanos() as i64);
-        wish.set(port.readers() > 0);
+        are_wanted.store(port.readers() > 0, Ordering::Relaxed);
         let (flow, too_large) = (pipeline.flow(), Throttle::default());
-        Ok(Self { port, wish, informed: 0, flow, latency_ns, generation, too_large })
+        Ok(Self { port, are_wanted, informed: 0, flow, latency_ns, generation, too_large })
     }
 
-    /// Sends what has come.
-    ///
-    /// # Errors
-    /// The port's.
-    pub(crate) fn attend(&mut self, source: &Source, epoch: u32) -> anyhow::Result<()> {
+    pub(crate) fn attend(&mut self, source: &FrameSource, epoch: u32) -> anyhow::Result<()> {
         let readers = self.port.readers();
-        self.wish.set(readers > 0);
+        self.are_wanted.store(readers > 0, Ordering::Relaxed);
         if readers == 0 {
             self.informed = 0;
             return Ok(());

@@ -1,6 +1,7 @@
 //! The coded pictures of a source, taken before the decoder while somebody wants them.
 
 use std::collections::VecDeque;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
@@ -12,16 +13,33 @@ use gstreamer::prelude::*;
 use crate::arrivals::Arrivals;
 use crate::byte_stream::ByteStream;
 use crate::decoder;
-use crate::packet::{Packet, PacketWish};
 use flockeye_runtime::clock::monotonic_ns;
 
 /// Limit for the bytes of packets that nobody has taken: beyond it the oldest are dropped.
 const MOST_BYTES: usize = 64_000_000;
 
+/// A coded picture.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Packet {
+    /// When it is shown, from the stream's first frame, nanoseconds.
+    pub stream_ns: i64,
+    /// When its data came in, CLOCK_MONOTONIC, nanoseconds.
+    pub arrived_ns: i64,
+    /// Its number among the stream's packets, in the order in which they are decoded.
+    pub sequence: u64,
+    /// How it is coded.
+    pub codec: VideoCodec,
+    /// Whether decoding can begin with it.
+    pub is_key: bool,
+    /// Annex B's byte stream, with the parameter sets before a key frame.
+    pub bytes: Vec<u8>,
+}
+
 /// Takes the packets of one pipeline.
 #[derive(Debug)]
 pub(crate) struct PacketTap {
-    wish: PacketWish,
+    /// Whether somebody wants packets.
+    are_wanted: Arc<AtomicBool>,
     state: Mutex<TapState>,
 }
 
@@ -38,8 +56,8 @@ struct TapState {
 }
 
 impl PacketTap {
-    pub(crate) fn new(wish: PacketWish) -> Arc<Self> {
-        Arc::new(Self { wish, state: Mutex::default() })
+    pub(crate) fn new(are_wanted: Arc<AtomicBool>) -> Arc<Self> {
+        Arc::new(Self { are_wanted, state: Mutex::default() })
     }
 
     /// Takes what goes into an element, if that is a decoder.
@@ -74,7 +92,7 @@ impl PacketTap {
         let TapState { stream: Some((_, Some((codec, stream)))), .. } = &mut *state else { return };
         let codec = *codec;
         let is_key = !buffer.flags().contains(gst::BufferFlags::DELTA_UNIT);
-        let made = self.wish.is_set().then(|| {
+        let made = self.are_wanted.load(Ordering::Relaxed).then(|| {
             let map = buffer.map_readable().ok()?;
             stream.packet(map.as_slice(), is_key).ok()
         });

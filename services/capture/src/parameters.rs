@@ -1,30 +1,22 @@
 //! What a user chooses about a source besides which it is.
 
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
 use flockeye_config::{AtEnd, Flow, InertialSource, Pipeline};
 
-use crate::packet::PacketWish;
-
-/// What sets the pace.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Paced {
-    /// The stream's own time stamps; a frame that nobody takes is replaced by the next one. A
-    /// recording that cannot be decoded in time plays slower.
-    RealTime,
-    /// The consumer: every frame of the source is handed out, in order, as fast as they are taken.
-    Lossless,
-}
-
 /// What a user chooses about a source besides which it is.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone)]
 pub struct SourceParameters {
     /// Pixels in a row that frames must have.
     pub width: u32,
     /// Rows that frames must have.
     pub height: u32,
-    /// What sets the pace.
-    pub flow: Paced,
+    /// What sets the pace. [`Flow::Latest`]: the stream's own time stamps. A frame that nobody
+    /// takes is replaced by the next one, and a recording that decodes too slowly plays slower.
+    /// [`Flow::Lossless`]: the consumer, who gets every frame in order.
+    pub flow: Flow,
     /// Whether a recording starts again at its end.
     pub looping: bool,
     /// From exposure to arrival; subtracted from the arrival of a camera's frames.
@@ -40,7 +32,7 @@ pub struct SourceParameters {
     /// Whether the inertial samples of a recording of a flight are wanted.
     pub samples: bool,
     /// Whether somebody wants the coded pictures.
-    pub packets: PacketWish,
+    pub packets: Arc<AtomicBool>,
     /// Threads of the software decoder; 0 leaves it to the decoder. More than 1: as many frames of
     /// a camera at a time.
     pub decoder_threads: u32,
@@ -52,7 +44,7 @@ impl SourceParameters {
         Self {
             width,
             height,
-            flow: Paced::RealTime,
+            flow: Flow::Latest,
             looping: false,
             latency: Duration::ZERO,
             stall: Duration::from_secs(5),
@@ -60,7 +52,7 @@ impl SourceParameters {
             reopen_max: Duration::from_secs(10),
             images_per_second: 1.0,
             samples: false,
-            packets: PacketWish::default(),
+            packets: Arc::default(),
             decoder_threads: 0,
         }
     }
@@ -69,10 +61,7 @@ impl SourceParameters {
     pub fn of(pipeline: &Pipeline) -> Self {
         let seconds = |s: f64| Duration::try_from_secs_f64(s).unwrap_or(Duration::from_secs(1));
         Self {
-            flow: match pipeline.flow() {
-                Flow::Latest => Paced::RealTime,
-                Flow::Lossless => Paced::Lossless,
-            },
+            flow: pipeline.flow(),
             looping: pipeline.source.at_end == AtEnd::Loop,
             latency: seconds(pipeline.camera.latency_ms * 1e-3),
             reopen_min: seconds(pipeline.source.reopen_s[0]),

@@ -3,14 +3,13 @@
 use std::fmt;
 use std::time::Duration;
 
-use flockeye_contract::{FrameHeader, Range, Transfer};
+use flockeye_contract::{FrameHeader, ImuSample, Range};
 use gstreamer as gst;
 use gstreamer_video as gst_video;
 use gstreamer_video::prelude::*;
-use gstreamer_video::{VideoColorRange, VideoFormat, VideoTransferFunction};
+use gstreamer_video::{VideoColorRange, VideoFormat};
 
-use crate::core::{PictureFacts, PictureTime};
-use crate::recorded_flight::TapeSample;
+use crate::core::PictureFacts;
 
 /// The raw formats whose first plane is 8-bit luma with nothing in between.
 pub(crate) const LUMA_FIRST: &[VideoFormat] = &[
@@ -32,13 +31,23 @@ pub(crate) const LUMA_FIRST: &[VideoFormat] = &[
 
 /// A frame's luma plane, read in place: the decoder gets its buffer back when this is dropped, so
 /// drop it soon.
-pub struct Picture {
+pub struct SourcePicture {
     // Boxed: GStreamer's structure is large, and events are handed round by value.
     frame: Box<gst_video::VideoFrame<gst_video::video_frame::Readable>>,
     stride: usize,
     bytes: usize,
-    stamp: PictureStamp,
-    recorded: Option<Box<FlightFrame>>,
+    pub(crate) stamp: PictureStamp,
+    pub(crate) recorded: Option<Box<FlightFrame>>,
+}
+
+/// Which process of the source, and which of its epochs: generation and epoch.
+pub(crate) type Epoch = (u32, u32);
+
+/// A sample, and which process of the sensor in which epoch it is of.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct TapeSample {
+    pub(crate) epoch: Epoch,
+    pub(crate) sample: ImuSample,
 }
 
 /// What a recording of a flight has of a picture.
@@ -60,11 +69,10 @@ pub(crate) struct PictureStamp {
     pub(crate) sequence: u64,
     pub(crate) stream_time: Duration,
     pub(crate) exposure_ns: i64,
-    /// Its time stamp in the pipeline.
     pub(crate) pts: Option<gst::ClockTime>,
 }
 
-impl Picture {
+impl SourcePicture {
     /// Maps a decoded buffer. The error names what is wrong with it.
     pub(crate) fn map(
         buffer: gst::Buffer,
@@ -106,12 +114,26 @@ impl Picture {
 
     /// The facts for a frame's header.
     pub fn facts(&self) -> PictureFacts {
-        let recorded = self.recorded.as_ref().map(|recorded| &recorded.header);
-        PictureFacts {
-            time: self.time(),
+        let facts = PictureFacts {
+            sequence: self.sequence(),
+            number: self.sequence(),
+            stream_ns: i64::try_from(self.stream_time().as_nanos()).unwrap_or(i64::MAX),
+            exposure_ns: self.exposure_monotonic_ns(),
             size_px: (self.width(), self.height()),
             range: self.range(),
-            recorded_ns: recorded.map(|header| (header.exposure_time_ns, header.readout_ns)),
+            recorded_ns: None,
+        };
+        let Some(FlightFrame { header, sequence, exposure_ns, .. }) = self.recorded.as_deref()
+        else {
+            return facts;
+        };
+        PictureFacts {
+            sequence: *sequence,
+            number: header.stamp.sequence,
+            stream_ns: header.stamp.stream_ns,
+            exposure_ns: *exposure_ns,
+            recorded_ns: Some((header.exposure_time_ns, header.readout_ns)),
+            ..facts
         }
     }
 
@@ -138,14 +160,6 @@ impl Picture {
         recorded.unwrap_or_else(|| range_of(self.frame.info()))
     }
 
-    /// The curve between light and code values, and its gamma where it is
-    /// [`Transfer::Gamma`] (0 otherwise). The sRGB curve, unless the stream names a pure power or
-    /// a linear one: cameras write BT.709 on their streams whatever curve they use, and what they
-    /// use is made for screens.
-    pub fn transfer(&self) -> (Transfer, f32) {
-        transfer_of(self.frame.info().colorimetry().transfer())
-    }
-
     /// The name of the raw format the decoder gave, such as `I420`.
     pub fn format(&self) -> &str {
         self.frame.info().name()
@@ -167,46 +181,11 @@ impl Picture {
     pub fn exposure_monotonic_ns(&self) -> i64 {
         self.stamp.exposure_ns
     }
-
-    /// Its times, as the source reports them.
-    pub fn time(&self) -> PictureTime {
-        match &self.recorded {
-            Some(recorded) => PictureTime {
-                sequence: recorded.sequence,
-                number: recorded.header.stamp.sequence,
-                stream_ns: recorded.header.stamp.stream_ns,
-                exposure_ns: recorded.exposure_ns,
-            },
-            None => PictureTime {
-                sequence: self.sequence(),
-                number: self.sequence(),
-                stream_ns: i64::try_from(self.stream_time().as_nanos()).unwrap_or(i64::MAX),
-                exposure_ns: self.exposure_monotonic_ns(),
-            },
-        }
-    }
-
-    /// What a recording of a flight has of it.
-    pub(crate) fn recorded(&self) -> Option<&FlightFrame> {
-        self.recorded.as_deref()
-    }
-
-    pub(crate) fn set_recorded(&mut self, recorded: FlightFrame) {
-        self.recorded = Some(Box::new(recorded));
-    }
-
-    pub(crate) fn pts(&self) -> Option<gst::ClockTime> {
-        self.stamp.pts
-    }
-
-    pub(crate) fn set_stamp(&mut self, stamp: PictureStamp) {
-        self.stamp = stamp;
-    }
 }
 
-impl fmt::Debug for Picture {
+impl fmt::Debug for SourcePicture {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Picture")
+        f.debug_struct("SourcePicture")
             .field("stamp", &self.stamp)
             .field("width", &self.width())
             .field("height", &self.height())
@@ -216,24 +195,11 @@ impl fmt::Debug for Picture {
     }
 }
 
-/// The range that a stream declares.
 pub(crate) fn range_of(info: &gst_video::VideoInfo) -> Range {
     match info.colorimetry().range() {
         VideoColorRange::Range0_255 => Range::Full,
         VideoColorRange::Range16_235 => Range::Limited,
         _ if info.is_gray() => Range::Full,
         _ => Range::Limited,
-    }
-}
-
-fn transfer_of(transfer: VideoTransferFunction) -> (Transfer, f32) {
-    match transfer {
-        VideoTransferFunction::Gamma10 => (Transfer::Linear, 0.0),
-        VideoTransferFunction::Gamma18 => (Transfer::Gamma, 1.8),
-        VideoTransferFunction::Gamma20 => (Transfer::Gamma, 2.0),
-        VideoTransferFunction::Gamma22 => (Transfer::Gamma, 2.2),
-        VideoTransferFunction::Gamma28 => (Transfer::Gamma, 2.8),
-        VideoTransferFunction::Adobergb => (Transfer::Gamma, 2.199_218_8),
-        _ => (Transfer::Srgb, 0.0),
     }
 }

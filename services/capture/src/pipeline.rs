@@ -16,7 +16,6 @@ use crate::explain::Failure;
 use crate::holding::DecoderWatch;
 use crate::input::{Input, element};
 use crate::mailbox::Mailbox;
-use crate::packet::PacketWish;
 use crate::packet_tap::PacketTap;
 use crate::picture::LUMA_FIRST;
 use crate::{CaptureError, decoder};
@@ -27,7 +26,6 @@ use flockeye_runtime::clock::monotonic_ns;
 pub(crate) struct DecodedFrame {
     pub(crate) sample: gst::Sample,
     pub(crate) sequence: u64,
-    /// Its time stamp.
     pub(crate) pts: Option<gst::ClockTime>,
     /// From the stream's first frame.
     pub(crate) stream_time: Duration,
@@ -42,14 +40,6 @@ pub(crate) struct DecodedFrame {
 /// The mailbox between GStreamer's threads and the consumer.
 pub(crate) type Frames = Mailbox<DecodedFrame, Failure>;
 
-/// A pipeline that does not run yet.
-pub(crate) struct PipelineParts {
-    pub(crate) pipeline: gst::Pipeline,
-    pub(crate) sink: gst_app::AppSink,
-    pub(crate) decoders: Arc<DecoderWatch>,
-    pub(crate) packets: Arc<PacketTap>,
-}
-
 /// Builds the pipeline for an input; nothing runs yet. Up to `ahead` decoded frames wait for the
 /// sink to take them; with 0 the decoder waits itself.
 pub(crate) fn build(
@@ -57,9 +47,9 @@ pub(crate) fn build(
     size: (u32, u32),
     threading: Threading,
     ahead: u32,
-    wish: &PacketWish,
+    packets: &Arc<PacketTap>,
     frames: &Arc<Frames>,
-) -> Result<PipelineParts, CaptureError> {
+) -> Result<(gst::Pipeline, gst_app::AppSink, Arc<DecoderWatch>), CaptureError> {
     let (pipeline, decodebin) = input.pipeline(size)?;
     // The system clock is CLOCK_MONOTONIC, so that the pipeline's times are the machine's.
     pipeline.use_clock(Some(&gst::SystemClock::obtain()));
@@ -67,19 +57,17 @@ pub(crate) fn build(
     decodebin.set_property("expose-all-streams", false);
     let arrivals = Arrivals::of(&pipeline);
     let decoders = DecoderWatch::new(Arc::clone(&arrivals));
-    let packets = PacketTap::new(wish.clone());
     // A recorded flight has its packets already.
     let is_tapped = !matches!(input, Input::Flight(..));
     // A description may name a decoder of its own. It stays as it was written.
-    let mut elements = pipeline.iterate_recurse();
-    while let Ok(Some(element)) = elements.next() {
+    for element in decoder::elements(&pipeline) {
         decoders.attach(&element);
         if is_tapped {
             packets.attach(&element, &arrivals);
         }
     }
     let watching = Arc::clone(&decoders);
-    let (tapping, arrived) = (Arc::clone(&packets), Arc::clone(&arrivals));
+    let (tapping, arrived) = (Arc::clone(packets), Arc::clone(&arrivals));
     pipeline.connect_deep_element_added(move |_, _, element| {
         decoder::configure(element, threading);
         watching.attach(element);
@@ -88,7 +76,7 @@ pub(crate) fn build(
         }
     });
 
-    let sink = sink(Arc::clone(frames), arrivals, Arc::clone(&packets));
+    let sink = sink(Arc::clone(frames), arrivals, Arc::clone(packets));
     pipeline.add(&sink).map_err(|error| CaptureError::GStreamer(error.to_string()))?;
     let end = match ahead {
         0 => sink.clone().upcast(),
@@ -103,7 +91,7 @@ pub(crate) fn build(
         }
     });
     watch(&pipeline, Arc::clone(frames));
-    Ok(PipelineParts { pipeline, sink, decoders, packets })
+    Ok((pipeline, sink, decoders))
 }
 
 /// Frames that are farther apart wait one at a time: an error, which overtakes them, must not cost
@@ -139,9 +127,12 @@ fn sink(frames: Arc<Frames>, arrivals: Arc<Arrivals>, packets: Arc<PacketTap>) -
             let sample = sink.pull_sample().map_err(|_| gst::FlowError::Eos)?;
             let decoded = stamped(sink, sample, &mut census, &arrivals, arrival_ns);
             if decoded.sequence == 0 {
-                packets.begin(census.first());
+                packets.begin(census.first);
             }
-            frames.put(decoded).map(|()| gst::FlowSuccess::Ok).map_err(|_| gst::FlowError::Flushing)
+            match frames.put(decoded) {
+                true => Ok(gst::FlowSuccess::Ok),
+                false => Err(gst::FlowError::Flushing),
+            }
         })
         .eos(move |_| ended.end())
         .build();
@@ -283,21 +274,22 @@ fn watch(pipeline: &gst::Pipeline, frames: Arc<Frames>) {
 mod tests {
     #![allow(clippy::unwrap_used, clippy::expect_used)]
     use super::*;
-    use crate::mailbox::WhenFull;
+    use flockeye_config::Flow;
     use std::time::Instant;
 
     /// How many decoded frames wait before a sink that takes each when it is due, once `expected`
     /// do; `None` if there is no place for them.
     fn waiting(frames_per_second: u32, ahead: u32, expected: u32) -> Option<u32> {
         gst::init().unwrap();
-        let frames = Arc::new(Frames::new(1, WhenFull::ReplaceOldest));
+        let frames = Arc::new(Frames::new(1, Flow::Latest));
         let source = format!(
             "videotestsrc ! video/x-raw,format=GRAY8,width=64,height=32,framerate={frames_per_second}/1"
         );
         let input = Input::Description(source);
         let threading = Threading::Chosen(0);
-        let PipelineParts { pipeline, sink, .. } =
-            build(&input, (64, 32), threading, ahead, &PacketWish::default(), &frames).unwrap();
+        let packets = PacketTap::new(Arc::default());
+        let (pipeline, sink, _) =
+            build(&input, (64, 32), threading, ahead, &packets, &frames).unwrap();
         sink.set_sync(true);
         let is_waiting_room = |element: &gst::Element| {
             element.factory().is_some_and(|factory| factory.name() == "queue")

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use flockeye_contract::VideoCodec;
+use flockeye_config::Flow;
 use gstreamer as gst;
 use gstreamer::prelude::*;
 use gstreamer_app as gst_app;
@@ -13,19 +13,18 @@ use crate::decoder::Threading;
 use crate::explain::Failure;
 use crate::holding::{DecoderFault, DecoderWatch};
 use crate::input::Input;
-use crate::mailbox::{MailboxContent, WhenFull};
-use crate::packet::Packet;
+use crate::mailbox::MailboxContent;
 use crate::packet_tap::PacketTap;
-use crate::parameters::{Paced, SourceParameters};
-use crate::picture::{Picture, PictureStamp, range_of};
-use crate::pipeline::{DecodedFrame, Frames, PipelineParts, build};
+use crate::parameters::SourceParameters;
+use crate::picture::{PictureStamp, SourcePicture, range_of};
+use crate::pipeline::{DecodedFrame, Frames, build};
 use crate::{CaptureError, decoder};
 use flockeye_runtime::clock::monotonic_ns;
 
 /// What comes out of a pipeline.
 #[derive(Debug)]
 pub(crate) enum PlaybackEvent {
-    Picture(Picture),
+    Picture(SourcePicture),
     Idle,
     /// Its frames come later than they could, for this reason.
     Late(String),
@@ -57,11 +56,11 @@ enum Timing {
 #[derive(Debug)]
 pub(crate) struct Playback {
     input: Input,
-    pipeline: gst::Pipeline,
+    pub(crate) pipeline: gst::Pipeline,
     sink: gst_app::AppSink,
     frames: Arc<Frames>,
     decoders: Arc<DecoderWatch>,
-    packets: Arc<PacketTap>,
+    pub(crate) packets: Arc<PacketTap>,
     threading: Threading,
     /// Whether the number of threads was configured, and is not to be changed.
     is_threading_fixed: bool,
@@ -73,7 +72,8 @@ pub(crate) struct Playback {
     stall: Option<Duration>,
     playing: bool,
     heard: Instant,
-    handed_out: u64,
+    /// Frames handed out so far.
+    pub(crate) handed_out: u64,
     declared: Option<Duration>,
     reached: Duration,
 }
@@ -103,7 +103,7 @@ impl Playback {
         params: &SourceParameters,
         begin: impl FnOnce(&gst::Pipeline, &gst_app::AppSink) -> Result<(), CaptureError>,
     ) -> Result<Self, CaptureError> {
-        let timing = if params.flow == Paced::Lossless { Timing::Stream } else { Timing::Paced };
+        let timing = if params.flow == Flow::Lossless { Timing::Stream } else { Timing::Paced };
         let threading = Threading::of(&input, params);
         let mut playback = Self::build(input, params, timing, threading)?;
         begin(&playback.pipeline, &playback.sink)?;
@@ -145,7 +145,7 @@ impl Playback {
         let started = playback.pipeline.set_state(gst::State::Paused);
         let live = matches!(started, Ok(gst::StateChangeSuccess::NoPreroll));
         playback.timing = match &playback.input {
-            _ if params.flow == Paced::Lossless => Timing::Stream,
+            _ if params.flow == Flow::Lossless => Timing::Stream,
             Input::V4l2(_) => Timing::Driver,
             Input::Theta => Timing::Arrival,
             // The Theta's driver does not announce a live source.
@@ -163,17 +163,16 @@ impl Playback {
         threading: Threading,
     ) -> Result<Self, CaptureError> {
         let expected = (params.width, params.height);
-        let frames = Arc::new(match params.flow {
-            Paced::RealTime => Frames::new(1, WhenFull::ReplaceOldest),
-            Paced::Lossless => Frames::new(2, WhenFull::HoldBack),
-        });
+        let room = if params.flow == Flow::Lossless { 2 } else { 1 };
+        let frames = Arc::new(Frames::new(room, params.flow));
+        let packets = PacketTap::new(Arc::clone(&params.packets));
         // Only what is played from a file is there before it is due.
         let ahead = match (&input, timing) {
             (Input::File(_) | Input::Flight(..), Timing::Paced) => AHEAD,
             _ => 0,
         };
-        let PipelineParts { pipeline, sink, decoders, packets } =
-            build(&input, expected, threading, ahead, &params.packets, &frames)?;
+        let (pipeline, sink, decoders) =
+            build(&input, expected, threading, ahead, &packets, &frames)?;
         Ok(Self {
             input,
             pipeline,
@@ -276,7 +275,7 @@ impl Playback {
         }
     }
 
-    fn picture(&mut self, decoded: DecodedFrame) -> Result<Picture, CaptureError> {
+    fn picture(&mut self, decoded: DecodedFrame) -> Result<SourcePicture, CaptureError> {
         self.heard = Instant::now();
         self.reached = self.reached.max(decoded.stream_end);
         let sequence = decoded.sequence;
@@ -292,11 +291,8 @@ impl Playback {
         let exposure_ns = self.exposure_ns(&decoded);
         let (stream_time, pts) = (decoded.stream_time, decoded.pts);
         let stamp = PictureStamp { sequence, stream_time, exposure_ns, pts };
-        let picture = Picture::map(buffer, &info, stamp).map_err(|reason| CaptureError::Frame {
-            what: self.input.name(),
-            sequence,
-            reason,
-        })?;
+        let picture = SourcePicture::map(buffer, &info, stamp)
+            .map_err(|reason| CaptureError::Frame { what: self.input.name(), sequence, reason })?;
         self.handed_out += 1;
         Ok(picture)
     }
@@ -308,13 +304,15 @@ impl Playback {
             Timing::Paced => decoded.due_ns.unwrap_or_else(monotonic_ns),
             Timing::Arrival => decoded.arrival_ns - latency_ns,
             Timing::Driver => {
-                match decoded.due_ns.filter(|&due| is_believable(due, decoded.arrival_ns)) {
+                let arrival_ns = decoded.arrival_ns;
+                let believable = arrival_ns - OLDEST_STAMP_NS..=arrival_ns + NEWEST_STAMP_NS;
+                match decoded.due_ns.filter(|due_ns| believable.contains(due_ns)) {
                     Some(due_ns) => due_ns - latency_ns,
                     None => {
                         // Once and for all: two clocks in turns would be worse than the coarser
                         // one.
                         self.timing = Timing::Arrival;
-                        decoded.arrival_ns - latency_ns
+                        arrival_ns - latency_ns
                     }
                 }
             }
@@ -354,27 +352,6 @@ impl Playback {
         })
     }
 
-    /// The coded pictures that have come since the last time.
-    pub(crate) fn take_packets(&self) -> Vec<Packet> {
-        self.packets.take()
-    }
-
-    /// How its pictures are coded; `None` while that is not known.
-    pub(crate) fn codec(&self) -> Option<VideoCodec> {
-        self.packets.codec()
-    }
-
-    /// Whether its pictures come out of a decoder of video.
-    pub(crate) fn decodes_video(&self) -> bool {
-        decoder::takes_video(&self.pipeline)
-    }
-
-    /// Frames handed out so far.
-    pub(crate) fn handed_out(&self) -> u64 {
-        self.handed_out
-    }
-
-    /// What is played, by which decoder.
     pub(crate) fn describe(&self) -> String {
         let name = self.input.name();
         let caps = self.sink.sink_pads().first().and_then(gst::Pad::current_caps);
@@ -444,9 +421,4 @@ fn why_held(frames: usize, by_threads: usize, reordered: bool, is_fixed: bool) -
         );
     }
     reasons.join("; ")
-}
-
-/// Whether a driver's stamp can be on this machine's clock.
-fn is_believable(stamp_ns: i64, arrival_ns: i64) -> bool {
-    (arrival_ns - OLDEST_STAMP_NS..=arrival_ns + NEWEST_STAMP_NS).contains(&stamp_ns)
 }

@@ -2,22 +2,23 @@
 
 use std::time::{Duration, Instant};
 
+use flockeye_config::Flow;
 use flockeye_contract::VideoCodec;
 use flockeye_runtime::backoff::Backoff;
 use gstreamer as gst;
 
-use crate::decoder::Threading;
+use crate::decoder::{self, Threading};
 use crate::file;
-use crate::folder::{Folder, FolderStep};
+use crate::folder::Folder;
 use crate::input::Input;
-use crate::packet::Packet;
+use crate::packet_tap::Packet;
 use crate::playback::{Playback, PlaybackEvent};
 use crate::recorded_flight::Flight;
-use crate::{CaptureError, EndReason, Event, Paced, SourceParameters, SourceSpec};
+use crate::{CaptureError, EndReason, Event, SourceParameters, SourceSpec};
 
 /// A camera, a video file or a folder of images that hands out luma planes.
 #[derive(Debug)]
-pub struct Source {
+pub struct FrameSource {
     spec: SourceSpec,
     params: SourceParameters,
     state: SourceState,
@@ -39,7 +40,7 @@ enum SourceState {
     Ended(EndReason),
 }
 
-impl Source {
+impl FrameSource {
     /// Opens a source. A recording's first frame is decoded here, so that everything that keeps it
     /// from being played is an error here; it begins to play at the first [`Self::next`]. A camera
     /// is started; one that is not there is [`Event::Lost`], for it may still come.
@@ -80,42 +81,29 @@ impl Source {
                     Event::Idle
                 }
                 PlaybackEvent::Over { fault } => {
-                    let decoded = playback.handed_out();
+                    let decoded = playback.handed_out;
                     let reason = match fault {
                         Some(reason) => EndReason::Truncated { decoded, reason },
                         None => EndReason::Complete { frames: decoded, skipped: 0 },
                     };
-                    self.over(reason, decoded)?
+                    self.or_over(Event::End(reason))?
                 }
             }),
-            SourceState::Folder(folder) => Ok(match folder.next(timeout) {
-                FolderStep::Picture(picture) => Event::Frame(picture),
-                FolderStep::Idle => Event::Idle,
-                FolderStep::Skipped { what, why } => Event::Skipped { what, why },
-                FolderStep::Over => {
-                    let frames = folder.handed_out();
-                    let reason = EndReason::Complete { frames, skipped: folder.skipped() };
-                    self.over(reason, frames)?
-                }
-            }),
-            SourceState::Flight(flight) => match flight.next(timeout)? {
-                Event::End(reason) => {
-                    let frames = flight.handed_out();
-                    self.over(reason, frames)
-                }
-                event => Ok(event),
-            },
+            SourceState::Folder(folder) => {
+                let event = folder.next(timeout);
+                self.or_over(event)
+            }
+            SourceState::Flight(flight) => {
+                let event = flight.next(timeout)?;
+                self.or_over(event)
+            }
             SourceState::Camera(input, playback) => Ok(match playback.next(timeout)? {
                 PlaybackEvent::Picture(picture) => {
                     self.backoff.reset();
                     Event::Frame(picture)
                 }
                 PlaybackEvent::Idle => Event::Idle,
-                PlaybackEvent::Late(what) => match std::mem::replace(&mut self.has_said_late, true)
-                {
-                    false => Event::Late { what },
-                    true => Event::Idle,
-                },
+                PlaybackEvent::Late(what) => said_once(&mut self.has_said_late, what),
                 PlaybackEvent::Behind { by, faster: Some(faster) } => {
                     let reason = format!(
                         "{}: its frames wait {:.0} ms before the decoder, which now decodes several at \
@@ -134,10 +122,7 @@ impl Source {
                         input.name(),
                         by.as_secs_f64() * 1e3
                     );
-                    match std::mem::replace(&mut self.has_said_behind, true) {
-                        false => Event::Late { what },
-                        true => Event::Idle,
-                    }
+                    said_once(&mut self.has_said_behind, what)
                 }
                 PlaybackEvent::Over { fault } => {
                     let reason =
@@ -162,8 +147,12 @@ impl Source {
         }
     }
 
-    /// A recording is over: it starts again, unless nothing came out of it.
-    fn over(&mut self, reason: EndReason, frames: u64) -> Result<Event, CaptureError> {
+    /// Passes an event on. A recording that is over starts again where that is asked for, unless
+    /// nothing came out of it.
+    fn or_over(&mut self, event: Event) -> Result<Event, CaptureError> {
+        let Event::End(reason) = event else { return Ok(event) };
+        let (EndReason::Complete { frames, .. } | EndReason::Truncated { decoded: frames, .. }) =
+            reason;
         if self.params.looping && frames > 0 {
             self.state = start(&self.spec, &self.params)?;
             return Ok(Event::Looped { after: reason });
@@ -191,7 +180,7 @@ impl Source {
     pub fn take_packets(&self) -> Vec<Packet> {
         match &self.state {
             SourceState::Recording(playback) | SourceState::Camera(_, playback) => {
-                playback.take_packets()
+                playback.packets.take()
             }
             _ => Vec::new(),
         }
@@ -200,7 +189,9 @@ impl Source {
     /// How its pictures are coded; `None` while that is not known.
     pub fn codec(&self) -> Option<VideoCodec> {
         match &self.state {
-            SourceState::Recording(playback) | SourceState::Camera(_, playback) => playback.codec(),
+            SourceState::Recording(playback) | SourceState::Camera(_, playback) => {
+                playback.packets.codec()
+            }
             SourceState::Folder(_) | SourceState::Flight(_) => Some(VideoCodec::None),
             SourceState::Lost(..) | SourceState::Ended(_) => None,
         }
@@ -210,7 +201,7 @@ impl Source {
     pub fn decodes_video(&self) -> bool {
         match &self.state {
             SourceState::Recording(playback) | SourceState::Camera(_, playback) => {
-                playback.decodes_video()
+                decoder::takes_video(&playback.pipeline)
             }
             SourceState::Flight(flight) => flight.decodes_video(),
             SourceState::Folder(_) | SourceState::Lost(..) | SourceState::Ended(_) => false,
@@ -220,6 +211,14 @@ impl Source {
     /// Whether the source is a camera, which never ends and may be lost.
     pub fn is_camera(&self) -> bool {
         matches!(self.state, SourceState::Camera(..) | SourceState::Lost(..))
+    }
+}
+
+/// What makes frames late, unless it has been said.
+fn said_once(has_said: &mut bool, what: String) -> Event {
+    match std::mem::replace(has_said, true) {
+        false => Event::Late { what },
+        true => Event::Idle,
     }
 }
 
@@ -238,8 +237,8 @@ fn start(spec: &SourceSpec, params: &SourceParameters) -> Result<SourceState, Ca
         SourceSpec::V4l2(device) => camera(Input::V4l2(device.clone())),
         SourceSpec::Theta => camera(Input::Theta),
         SourceSpec::Description(text) => match params.flow {
-            Paced::RealTime => camera(Input::Description(text.clone())),
-            Paced::Lossless => recording(Input::Description(text.clone())),
+            Flow::Latest => camera(Input::Description(text.clone())),
+            Flow::Lossless => recording(Input::Description(text.clone())),
         },
     }
 }

@@ -7,7 +7,7 @@ use flockeye_contract::StageState;
 use flockeye_runtime::health::SharedCounters;
 use flockeye_runtime::logs::Throttle;
 
-use crate::{EndReason, Source};
+use crate::{EndReason, FrameSource};
 
 /// Reports what happens to a source.
 pub(crate) struct SourceReports {
@@ -22,7 +22,7 @@ pub(crate) struct SourceReports {
 
 impl SourceReports {
     /// Reports a source that was opened as `pipeline` asks for.
-    pub(crate) fn new(pipeline: &Pipeline, source: &Source, counters: SharedCounters) -> Self {
+    pub(crate) fn new(pipeline: &Pipeline, source: &FrameSource, counters: SharedCounters) -> Self {
         tracing::info!("{}", source.describe());
         counters.set_detail(source.describe());
         let is_auto = pipeline.fusion.coding == Coding::Auto;
@@ -37,7 +37,7 @@ impl SourceReports {
 
     /// A frame has come. Facts that are known from the first frame on are reported then; what
     /// decodes a recording is known before.
-    pub(crate) fn frame(&mut self, source: &Source) {
+    pub(crate) fn frame(&mut self, source: &FrameSource) {
         self.counters.set_state(None);
         if std::mem::replace(&mut self.has_begun, true) {
             return;
@@ -64,12 +64,11 @@ impl SourceReports {
     }
 
     /// Frames come later than they could.
-    pub(crate) fn late(&self, what: &str, source: &Source) {
+    pub(crate) fn late(&self, what: &str, source: &FrameSource) {
         tracing::warn!("{what}");
         self.counters.set_detail(source.describe());
     }
 
-    /// A camera is lost.
     pub(crate) fn lost(&mut self, reason: &str, retry_in: Duration) {
         self.counters.set_state(Some(StageState::Degraded));
         self.has_begun = false;
@@ -82,7 +81,6 @@ impl SourceReports {
         }
     }
 
-    /// A recording is over.
     pub(crate) fn ended(&self, reason: &EndReason) {
         match reason {
             EndReason::Complete { .. } => tracing::info!("the recording is {reason}"),

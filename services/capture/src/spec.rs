@@ -35,11 +35,13 @@ pub enum SourceSpec {
     Description(String),
 }
 
-impl SourceSpec {
+impl FromStr for SourceSpec {
+    type Err = CaptureError;
+
     /// Understands what a user wrote. Looks at the file system to distinguish a folder from a file,
     /// and a file whose name has a `!` from a description; whether a file is there is found when it
     /// is opened.
-    pub fn parse(text: &str) -> Result<Self, CaptureError> {
+    fn from_str(text: &str) -> Result<Self, CaptureError> {
         let trimmed = text.trim();
         let refused =
             |reason: &str| CaptureError::Spec { text: text.to_owned(), reason: reason.to_owned() };
@@ -93,14 +95,6 @@ impl SourceSpec {
     }
 }
 
-impl FromStr for SourceSpec {
-    type Err = CaptureError;
-
-    fn from_str(text: &str) -> Result<Self, CaptureError> {
-        Self::parse(text)
-    }
-}
-
 impl fmt::Display for SourceSpec {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
@@ -136,9 +130,9 @@ mod tests {
             ),
             (here, SourceSpec::Folder(here.into())),
         ] {
-            assert_eq!(SourceSpec::parse(text).unwrap(), spec, "{text}");
+            assert_eq!(text.parse::<SourceSpec>().unwrap(), spec, "{text}");
             assert_eq!(
-                SourceSpec::parse(&spec.to_string()).unwrap(),
+                spec.to_string().parse::<SourceSpec>().unwrap(),
                 spec,
                 "{spec} does not come back"
             );
@@ -153,7 +147,7 @@ mod tests {
             ("gst:", "gst:videotestsrc"),
             ("rtsp://cam/1", "rtspsrc"),
         ] {
-            let message = SourceSpec::parse(text).unwrap_err().to_string();
+            let message = text.parse::<SourceSpec>().unwrap_err().to_string();
             assert!(message.contains(cure), "{text}: {message}");
         }
     }

@@ -10,12 +10,12 @@ use flockeye_runtime::health::SharedCounters;
 use flockeye_runtime::ports::{Ports, Publisher};
 use flockeye_runtime::{Context, Stage, Step, clock};
 
-use crate::core::{Core, FrameSettings};
+use crate::core::Core;
 use crate::examine;
 use crate::inertial::InertialPort;
 use crate::packet_port::PacketPort;
 use crate::source_reports::SourceReports;
-use crate::{Event, Picture, Source, SourceParameters, SourceSpec};
+use crate::{Event, FrameSource, SourceParameters, SourcePicture, SourceSpec};
 
 /// How long the source is waited for between two looks at everything else.
 const WAIT: Duration = Duration::from_millis(50);
@@ -27,7 +27,7 @@ pub(crate) struct CaptureStage {
     inertial: Option<InertialPort>,
     packets: PacketPort,
     credits: Credits,
-    source: Source,
+    source: FrameSource,
     core: Core,
     reports: SourceReports,
     counters: SharedCounters,
@@ -43,7 +43,7 @@ impl Stage for CaptureStage {
         let parameters = SourceParameters::of(pipeline);
         // Before the source is opened, so that a recorder gets its first packet.
         let packets = PacketPort::open(pipeline, generation, parameters.packets.clone(), ports)?;
-        let source = Source::open(spec, parameters)?;
+        let source = FrameSource::open(spec, parameters)?;
         Ok(Self {
             frames: ports.publisher()?,
             inertial: InertialPort::open(pipeline, generation, ports)?,
@@ -51,7 +51,7 @@ impl Stage for CaptureStage {
             credits: Credits::open(pipeline, ports)?,
             reports: SourceReports::new(pipeline, &source, context.counters.clone()),
             source,
-            core: Core::new(FrameSettings::of(resolved, generation)),
+            core: Core::of(resolved, generation),
             counters: context.counters.clone(),
         })
     }
@@ -103,7 +103,7 @@ impl CaptureStage {
     }
 
     /// Copies the luma plane from the decoder's buffer into shared memory: the one copy there is.
-    fn send(&mut self, picture: &Picture) -> anyhow::Result<()> {
+    fn send(&mut self, picture: &SourcePicture) -> anyhow::Result<()> {
         let begun_ns = clock::monotonic_ns();
         self.reports.frame(&self.source);
         let (width, height) = (picture.width(), picture.height());

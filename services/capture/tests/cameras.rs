@@ -6,17 +6,18 @@ mod common;
 use std::time::Duration;
 
 use common::{parameters, watched};
-use flockeye_capture::{CaptureError, Event, Paced, Source, SourceParameters, SourceSpec};
+use flockeye_capture::{CaptureError, Event, FrameSource, SourceParameters, SourceSpec};
+use flockeye_config::Flow;
 use flockeye_runtime::clock::monotonic_ns;
 
 const TIMEOUT: Duration = Duration::from_secs(5);
 const CAPS: &str = "video/x-raw,format=NV12,width=320,height=240,framerate=30/1";
 
-fn camera(description: &str, params: SourceParameters) -> Source {
-    Source::open(SourceSpec::parse(&format!("gst:{description}")).unwrap(), params).unwrap()
+fn camera(description: &str, params: SourceParameters) -> FrameSource {
+    FrameSource::open(format!("gst:{description}").parse().unwrap(), params).unwrap()
 }
 
-fn quick(flow: Paced) -> SourceParameters {
+fn quick(flow: Flow) -> SourceParameters {
     let ms = Duration::from_millis;
     SourceParameters { reopen_min: ms(20), reopen_max: ms(50), stall: ms(500), ..parameters(flow) }
 }
@@ -26,7 +27,7 @@ fn a_camera_that_goes_away_is_opened_again() {
     watched(|| {
         let mut source = camera(
             &format!("videotestsrc is-live=true num-buffers=5 ! {CAPS}"),
-            quick(Paced::RealTime),
+            quick(Flow::Latest),
         );
         assert!(source.is_camera());
         let mut rounds: Vec<Vec<u64>> = vec![Vec::new()];
@@ -61,7 +62,7 @@ fn a_camera_that_goes_away_is_opened_again() {
 fn a_camera_that_is_not_there_is_waited_for_longer_and_longer() {
     watched(|| {
         let missing = SourceSpec::V4l2("/dev/video-that-is-not-there".into());
-        let mut source = Source::open(missing, quick(Paced::RealTime)).unwrap();
+        let mut source = FrameSource::open(missing, quick(Flow::Latest)).unwrap();
         let mut waits = Vec::new();
         while waits.len() < 4 {
             match source.next(TIMEOUT).unwrap() {
@@ -84,7 +85,7 @@ fn a_camera_that_is_not_there_is_waited_for_longer_and_longer() {
 fn a_camera_that_falls_silent_is_lost() {
     watched(|| {
         let stalling = format!("videotestsrc is-live=true ! {CAPS} ! valve drop=true");
-        let mut source = camera(&stalling, quick(Paced::RealTime));
+        let mut source = camera(&stalling, quick(Flow::Latest));
         loop {
             match source.next(Duration::from_millis(50)).unwrap() {
                 Event::Lost { reason, .. } => {
@@ -101,7 +102,7 @@ fn a_camera_that_falls_silent_is_lost() {
 fn exposure_is_arrival_less_the_latency() {
     watched(|| {
         let latency = Duration::from_millis(250);
-        let params = SourceParameters { latency, ..quick(Paced::RealTime) };
+        let params = SourceParameters { latency, ..quick(Flow::Latest) };
         let before_ns = monotonic_ns();
         let mut source = camera(&format!("videotestsrc is-live=true ! {CAPS} ! jpegenc"), params);
         let mut last = None;
@@ -127,7 +128,7 @@ fn exposure_is_arrival_less_the_latency() {
 fn a_description_in_lossless_flow_is_a_recording() {
     watched(|| {
         let mut source =
-            camera(&format!("videotestsrc num-buffers=7 ! {CAPS}"), quick(Paced::Lossless));
+            camera(&format!("videotestsrc num-buffers=7 ! {CAPS}"), quick(Flow::Lossless));
         let mut count = 0;
         let end = common::play(&mut source, |picture| {
             assert_eq!(picture.sequence(), count);
@@ -143,7 +144,7 @@ fn packed_colour_becomes_gray() {
     watched(|| {
         let packed = CAPS.replace("NV12", "YUY2");
         let mut source =
-            camera(&format!("videotestsrc num-buffers=2 ! {packed}"), quick(Paced::Lossless));
+            camera(&format!("videotestsrc num-buffers=2 ! {packed}"), quick(Flow::Lossless));
         common::play(&mut source, |picture| assert_eq!(picture.format(), "GRAY8"));
     });
 }
@@ -151,16 +152,16 @@ fn packed_colour_becomes_gray() {
 #[test]
 fn missing_elements_say_what_to_install() {
     watched(|| {
-        let unknown = SourceSpec::parse("nosuchsrc ! queue").unwrap();
-        let error = Source::open(unknown, quick(Paced::RealTime)).unwrap_err();
+        let unknown = "nosuchsrc ! queue".parse().unwrap();
+        let error = FrameSource::open(unknown, quick(Flow::Latest)).unwrap_err();
         assert!(
             matches!(&error, CaptureError::MissingElement { element, .. } if element == "nosuchsrc"),
             "{error:?}"
         );
-        let senseless = SourceSpec::parse("videotestsrc ! ! queue").unwrap();
-        let error = Source::open(senseless, quick(Paced::RealTime)).unwrap_err();
+        let senseless = "videotestsrc ! ! queue".parse().unwrap();
+        let error = FrameSource::open(senseless, quick(Flow::Latest)).unwrap_err();
         assert!(matches!(error, CaptureError::Description { .. }), "{error:?}");
-        match Source::open(SourceSpec::Theta, quick(Paced::RealTime)) {
+        match FrameSource::open(SourceSpec::Theta, quick(Flow::Latest)) {
             Err(CaptureError::MissingElement { element, cure }) => {
                 assert_eq!(element, "thetauvcsrc");
                 assert!(cure.contains("gstthetauvc"), "{cure}");
@@ -179,7 +180,7 @@ fn a_size_that_changes_in_mid_stream_is_an_error() {
              videotestsrc num-buffers=3 ! {} ! joined. joined. ! identity",
             CAPS.replace("width=320", "width=160")
         );
-        let mut source = camera(&description, quick(Paced::Lossless));
+        let mut source = camera(&description, quick(Flow::Lossless));
         let mut frames = 0;
         let error = loop {
             match source.next(TIMEOUT) {

@@ -7,7 +7,8 @@ mod common;
 use std::time::Duration;
 
 use common::{parameters, watched};
-use flockeye_capture::{Event, Paced, Source, SourceParameters, SourceSpec};
+use flockeye_capture::{Event, FrameSource, SourceParameters, SourceSpec};
+use flockeye_config::Flow;
 use flockeye_runtime::clock::monotonic_ns;
 
 const CAPS: &str = "video/x-raw,format=I420,width=320,height=240,framerate=30/1";
@@ -27,9 +28,9 @@ struct Watched {
 
 /// Plays a camera for some frames, or until it has said so much.
 fn watch(description: &str, decoder_threads: u32, until: impl Fn(&Watched) -> bool) -> Watched {
-    let spec = SourceSpec::parse(&format!("gst:{description}")).unwrap();
-    let params = SourceParameters { decoder_threads, ..parameters(Paced::RealTime) };
-    let mut source = Source::open(spec, params).unwrap();
+    let spec: SourceSpec = format!("gst:{description}").parse().unwrap();
+    let params = SourceParameters { decoder_threads, ..parameters(Flow::Latest) };
+    let mut source = FrameSource::open(spec, params).unwrap();
     let mut ages_ns = Vec::new();
     let mut watched = Watched {
         late: Vec::new(),

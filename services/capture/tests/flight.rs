@@ -6,7 +6,8 @@ mod common;
 use std::time::{Duration, Instant};
 
 use common::{open, play, watched};
-use flockeye_capture::{EndReason, Paced, SourceParameters};
+use flockeye_capture::{EndReason, SourceParameters};
+use flockeye_config::Flow;
 use flockeye_contract::Range;
 
 #[test]
@@ -16,7 +17,7 @@ fn the_flight_has_300_frames_a_thirtieth_of_a_second_apart() {
     watched(move || {
         let mut source = open(
             &flight,
-            SourceParameters { flow: Paced::Lossless, ..SourceParameters::new(3840, 1920) },
+            SourceParameters { flow: Flow::Lossless, ..SourceParameters::new(3840, 1920) },
         );
         println!("{}", source.describe());
         let begun = Instant::now();

@@ -8,9 +8,8 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use common::{HEIGHT, Scratch, WIDTH, open, packed, parameters, run, video, watched};
-use flockeye_capture::{
-    CaptureError, EndReason, Event, Paced, Source, SourceParameters, SourceSpec,
-};
+use flockeye_capture::{CaptureError, EndReason, Event, FrameSource, SourceParameters, SourceSpec};
+use flockeye_config::Flow;
 use flockeye_contract::{FrameHeader, FrameStamp, Range};
 use flockeye_recording::file::RecordingFile;
 use flockeye_recording::images::encode_compressed;
@@ -29,7 +28,7 @@ fn pictures(scratch: &Scratch, count: u32) -> Vec<(Vec<u8>, Vec<u8>)> {
         "{} ! jpegenc quality=90 ! multifilesink location=\"{files}\"",
         video(count, WIDTH, "GRAY8")
     ));
-    let mut source = open(&folder, parameters(Paced::Lossless));
+    let mut source = open(&folder, parameters(Flow::Lossless));
     let mut decoded = Vec::new();
     common::play(&mut source, |picture| decoded.push(packed(picture)));
     let file = |k: usize| std::fs::read(folder.join(format!("{k:04}.jpg"))).unwrap();
@@ -89,15 +88,15 @@ struct Played {
     end: Option<EndReason>,
 }
 
-fn play(source: &mut Source) -> Played {
+fn play(source: &mut FrameSource) -> Played {
     let mut played = Played { epochs: vec![Vec::new()], ..Played::default() };
     loop {
         match source.next(Duration::from_secs(5)).unwrap() {
             Event::Frame(picture) => {
                 assert_eq!(picture.range(), Range::Limited, "as the frame was");
-                let time = picture.time();
+                let facts = picture.facts();
                 let frame =
-                    (time.number, time.stream_ns / MS, time.exposure_ns / MS, packed(&picture));
+                    (facts.number, facts.stream_ns / MS, facts.exposure_ns / MS, packed(&picture));
                 played.epochs.last_mut().unwrap().push(frame);
             }
             Event::NewEpoch => played.epochs.push(Vec::new()),
@@ -132,7 +131,7 @@ fn pictures_come_with_their_stamps_and_gaps_and_epochs() {
             .map(|(&(sequence, ms, epoch), (jpeg, _))| (stamp(sequence, ms, epoch), &jpeg[..]))
             .collect();
         let path = flight(&scratch, &frames);
-        let mut source = open(&path, parameters(Paced::Lossless));
+        let mut source = open(&path, parameters(Flow::Lossless));
         assert!(source.describe().contains("320x240"), "{}", source.describe());
         let Played { epochs, skipped, end } = play(&mut source);
         assert_eq!((skipped, end), (vec![], Some(EndReason::Complete { frames: 6, skipped: 0 })));
@@ -160,7 +159,7 @@ fn real_time_keeps_the_distances_of_exposures() {
         let times = [1000, 1100, 1130, 1400];
         let frames: Vec<(FrameStamp, &[u8])> =
             (0..4).map(|k| (stamp(k as u64, times[k], 0), &pictures[k].0[..])).collect();
-        let mut source = open(&flight(&scratch, &frames), parameters(Paced::RealTime));
+        let mut source = open(&flight(&scratch, &frames), parameters(Flow::Latest));
         let begun = std::time::Instant::now();
         let Played { epochs, .. } = play(&mut source);
         assert!(begun.elapsed() > Duration::from_millis(350), "{:?}", begun.elapsed());
@@ -188,7 +187,7 @@ fn damaged_pictures_are_counted_and_the_others_come() {
         let bytes: [&[u8]; 5] = [&pictures[0].0, &nonsense, cut, &pictures[3].0, &pictures[4].0];
         let frames: Vec<(FrameStamp, &[u8])> =
             (0..5).map(|k| (stamp(k as u64, 1000 + 40 * k as i64, 0), bytes[k])).collect();
-        let mut source = open(&flight(&scratch, &frames), parameters(Paced::Lossless));
+        let mut source = open(&flight(&scratch, &frames), parameters(Flow::Lossless));
         let Played { epochs, skipped, end } = play(&mut source);
         let numbers: Vec<u64> = epochs[0].iter().map(|frame| frame.0).collect();
         assert_eq!(numbers, [0, 3, 4], "{skipped:?} {end:?}");
@@ -214,11 +213,11 @@ fn a_loop_starts_again() {
             .collect();
         let path = flight(&scratch, &frames);
         let mut source =
-            open(&path, SourceParameters { looping: true, ..parameters(Paced::Lossless) });
+            open(&path, SourceParameters { looping: true, ..parameters(Flow::Lossless) });
         let mut told = Vec::new();
         while told.len() < 9 {
             match source.next(Duration::from_secs(5)).unwrap() {
-                Event::Frame(picture) => told.push(Some(picture.time().number)),
+                Event::Frame(picture) => told.push(Some(picture.facts().number)),
                 Event::Looped { after: EndReason::Complete { frames: 2, .. } } => told.push(None),
                 Event::Idle => {}
                 other => panic!("{other:?}"),
@@ -245,7 +244,7 @@ fn a_recording_that_was_split_is_played_in_order() {
             record(&scratch.path(&name), number, &[frame]);
         }
         for (name, wanted) in [("flight.mcap", vec![0, 1, 2]), ("flight-1.mcap", vec![1, 2])] {
-            let mut source = open(&scratch.path(name), parameters(Paced::Lossless));
+            let mut source = open(&scratch.path(name), parameters(Flow::Lossless));
             let Played { epochs, .. } = play(&mut source);
             let numbers: Vec<u64> = epochs[0].iter().map(|frame| frame.0).collect();
             assert_eq!(numbers, wanted, "{name}");
@@ -264,7 +263,7 @@ fn what_is_cut_off_plays_to_there_and_what_is_none_is_refused() {
         let whole = flight(&scratch, &frames);
         let refused = |path: &Path| {
             let spec: SourceSpec = path.to_str().unwrap().parse().unwrap();
-            Source::open(spec, parameters(Paced::Lossless)).unwrap_err()
+            FrameSource::open(spec, parameters(Flow::Lossless)).unwrap_err()
         };
         // A recorder that is killed has written whole chunks; all of these are in one.
         let cut = scratch.cut(&whole, "cut.mcap", 0.5);
@@ -275,7 +274,7 @@ fn what_is_cut_off_plays_to_there_and_what_is_none_is_refused() {
         let without_index = scratch.path("killed.mcap");
         std::fs::write(&without_index, &bytes[..bytes.len() - 200]).unwrap();
         let Played { epochs, end, .. } =
-            play(&mut open(&without_index, parameters(Paced::Lossless)));
+            play(&mut open(&without_index, parameters(Flow::Lossless)));
         assert_eq!(epochs[0].len(), 40);
         let Some(EndReason::Truncated { decoded: 40, reason }) = end else { panic!("{end:?}") };
         assert!(reason.contains("killed.mcap was cut off"), "{reason}");
@@ -294,8 +293,8 @@ fn what_is_cut_off_plays_to_there_and_what_is_none_is_refused() {
         }
         let gone = refused(&scratch.path("gone.mcap"));
         assert!(matches!(gone, CaptureError::Missing { .. }), "{gone}");
-        let small = SourceParameters { width: 300, ..parameters(Paced::Lossless) };
-        let error = Source::open(SourceSpec::Flight(whole), small).unwrap_err();
+        let small = SourceParameters { width: 300, ..parameters(Flow::Lossless) };
+        let error = FrameSource::open(SourceSpec::Flight(whole), small).unwrap_err();
         assert!(matches!(error, CaptureError::Size { found: (WIDTH, HEIGHT), .. }), "{error}");
     });
 }

@@ -6,9 +6,8 @@ mod common;
 use std::time::Duration;
 
 use common::{Scratch, open, packed, parameters, play, raw_luma, video, watched};
-use flockeye_capture::{
-    CaptureError, EndReason, Event, Paced, Source, SourceParameters, SourceSpec,
-};
+use flockeye_capture::{CaptureError, EndReason, Event, FrameSource, SourceParameters, SourceSpec};
+use flockeye_config::Flow;
 use flockeye_contract::Range;
 use flockeye_runtime::clock::monotonic_ns;
 
@@ -28,7 +27,7 @@ fn mixed_sizes() -> Scratch {
 fn images_of_another_size_are_skipped_by_name() {
     watched(|| {
         let scratch = mixed_sizes();
-        let mut source = open(scratch.folder(), parameters(Paced::Lossless));
+        let mut source = open(scratch.folder(), parameters(Flow::Lossless));
         let mut events = Vec::new();
         let end = loop {
             match source.next(TIMEOUT).unwrap() {
@@ -60,7 +59,7 @@ fn broken_images_are_skipped_and_the_others_go_on() {
         scratch.cut(&jpeg, "c.jpg", 0.6);
         scratch.cut(&png, "d.png", 0.6);
         std::fs::write(scratch.path("e.png"), "no picture").unwrap();
-        let mut source = open(scratch.folder(), parameters(Paced::Lossless));
+        let mut source = open(scratch.folder(), parameters(Flow::Lossless));
         let mut skipped = Vec::new();
         let end = loop {
             match source.next(TIMEOUT).unwrap() {
@@ -88,7 +87,7 @@ fn gray_images_keep_their_values_and_coloured_ones_become_gray() {
             &format!("{} ! videoconvert ! video/x-raw,format=RGB ! pngenc", video(1, 322, "GRAY8")),
         );
         let mut source =
-            open(scratch.folder(), SourceParameters { width: 322, ..parameters(Paced::Lossless) });
+            open(scratch.folder(), SourceParameters { width: 322, ..parameters(Flow::Lossless) });
         let end = play(&mut source, |picture| {
             assert_eq!(picture.range(), Range::Full);
             let worst = packed(picture).iter().zip(&truth[0]).map(|(a, b)| a.abs_diff(*b)).max();
@@ -103,7 +102,7 @@ fn gray_images_keep_their_values_and_coloured_ones_become_gray() {
 fn real_time_shows_images_at_their_rate() {
     watched(|| {
         let scratch = mixed_sizes();
-        let rate = SourceParameters { images_per_second: 10.0, ..parameters(Paced::RealTime) };
+        let rate = SourceParameters { images_per_second: 10.0, ..parameters(Flow::Latest) };
         let mut source = open(scratch.folder(), rate);
         let mut shown = Vec::new();
         let mut idle = 0;
@@ -139,7 +138,7 @@ fn a_folder_loops_but_not_over_nothing() {
     watched(|| {
         let scratch = Scratch::new();
         scratch.clip("a.jpg", &format!("{} ! jpegenc", video(1, 320, "I420")));
-        let looping = SourceParameters { looping: true, ..parameters(Paced::Lossless) };
+        let looping = SourceParameters { looping: true, ..parameters(Flow::Lossless) };
         let mut source = open(scratch.folder(), looping.clone());
         for _ in 0..3 {
             assert!(
@@ -162,7 +161,7 @@ fn a_single_image_is_a_recording_of_one_frame() {
         let scratch = Scratch::new();
         let image = scratch.clip("a.jpg", &format!("{} ! jpegenc", video(1, 320, "I420")));
         let mut sequences = Vec::new();
-        let end = play(&mut open(&image, parameters(Paced::Lossless)), |picture| {
+        let end = play(&mut open(&image, parameters(Flow::Lossless)), |picture| {
             sequences.push(picture.sequence())
         });
         assert_eq!((sequences, end), (vec![0], EndReason::Complete { frames: 1, skipped: 0 }));
@@ -174,10 +173,10 @@ fn an_empty_folder_and_a_senseless_rate_are_refused() {
     watched(|| {
         let scratch = Scratch::new();
         let spec = SourceSpec::Folder(scratch.folder().to_owned());
-        let empty = Source::open(spec.clone(), parameters(Paced::Lossless)).unwrap_err();
+        let empty = FrameSource::open(spec.clone(), parameters(Flow::Lossless)).unwrap_err();
         assert!(matches!(empty, CaptureError::EmptyFolder { .. }), "{empty}");
-        let rate = SourceParameters { images_per_second: 0.0, ..parameters(Paced::Lossless) };
-        let senseless = Source::open(spec, rate).unwrap_err();
+        let rate = SourceParameters { images_per_second: 0.0, ..parameters(Flow::Lossless) };
+        let senseless = FrameSource::open(spec, rate).unwrap_err();
         assert!(
             matches!(senseless, CaptureError::Parameter { name: "images_per_second", .. }),
             "{senseless}"

@@ -8,21 +8,25 @@ use std::path::Path;
 use std::time::Duration;
 
 use common::{Scratch, open, parameters, video, watched};
-use flockeye_capture::{Event, Paced, Packet, PacketWish, SourceParameters};
+use flockeye_config::Flow;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use flockeye_capture::{Event, Packet, SourceParameters};
 use flockeye_contract::VideoCodec;
 
 /// Plays a clip: its packets, the stream times of its frames, and how it is coded.
 fn played(clip: &Path, is_wanted: bool) -> (Vec<Packet>, BTreeSet<i64>, Option<VideoCodec>) {
-    let packets = PacketWish::default();
-    packets.set(is_wanted);
-    let mut source = open(clip, SourceParameters { packets, ..parameters(Paced::Lossless) });
+    let packets = Arc::<AtomicBool>::default();
+    packets.store(is_wanted, Ordering::Relaxed);
+    let mut source = open(clip, SourceParameters { packets, ..parameters(Flow::Lossless) });
     let (mut found, mut times) = (Vec::new(), BTreeSet::new());
     loop {
         let event = source.next(Duration::from_secs(5)).unwrap();
         let codec = source.codec();
         found.extend(source.take_packets());
         match event {
-            Event::Frame(picture) => drop(times.insert(picture.time().stream_ns)),
+            Event::Frame(picture) => drop(times.insert(picture.facts().stream_ns)),
             Event::Idle => {}
             Event::End(_) => return (found, times, codec),
             other => panic!("{other:?}"),

@@ -6,10 +6,9 @@ mod common;
 use std::time::Duration;
 
 use common::{Scratch, open, packed, parameters, play, raw_luma, video, watched};
-use flockeye_capture::{
-    CaptureError, EndReason, Event, Paced, Source, SourceParameters, SourceSpec,
-};
-use flockeye_contract::{Range, Transfer};
+use flockeye_capture::{CaptureError, EndReason, Event, FrameSource, SourceParameters, SourceSpec};
+use flockeye_config::Flow;
+use flockeye_contract::Range;
 
 const FRAME: Duration = Duration::from_nanos(33_333_333);
 
@@ -29,7 +28,7 @@ fn lossless_gives_every_frame_in_order_and_bit_for_bit() {
             );
             let truth = raw_luma(&scratch, &video(30, width, format), width, format);
             assert_eq!(truth.len(), 30);
-            let mut source = open(&clip, SourceParameters { width, ..parameters(Paced::Lossless) });
+            let mut source = open(&clip, SourceParameters { width, ..parameters(Flow::Lossless) });
             let mut count = 0;
             let end = play(&mut source, |picture| {
                 assert_eq!(picture.sequence(), count);
@@ -44,10 +43,7 @@ fn lossless_gives_every_frame_in_order_and_bit_for_bit() {
                     picture.stream_time().as_nanos() as i64
                 );
                 assert!(picture.stride() >= width as usize);
-                assert_eq!(
-                    (picture.range(), picture.transfer()),
-                    (Range::Limited, (Transfer::Srgb, 0.0))
-                );
+                assert_eq!(picture.range(), Range::Limited);
                 count += 1;
             });
             assert_eq!(end, EndReason::Complete { frames: 30, skipped: 0 });
@@ -66,7 +62,7 @@ fn a_slow_consumer_holds_the_decoder_back() {
             "clip.mp4",
             &format!("{} ! openh264enc ! h264parse ! mp4mux", video(20, 320, "I420")),
         );
-        let mut source = open(&clip, parameters(Paced::Lossless));
+        let mut source = open(&clip, parameters(Flow::Lossless));
         let mut sequences = Vec::new();
         let end = play(&mut source, |picture| {
             std::thread::sleep(Duration::from_millis(10));
@@ -83,7 +79,7 @@ fn real_time_replaces_what_nobody_takes_and_counts_it() {
         let scratch = Scratch::new();
         let clip = scratch
             .clip("clip.mkv", &format!("{} ! avenc_ffv1 ! matroskamux", video(30, 320, "I420")));
-        let mut source = open(&clip, parameters(Paced::RealTime));
+        let mut source = open(&clip, parameters(Flow::Latest));
         let mut seen = Vec::new();
         play(&mut source, |picture| {
             seen.push((picture.sequence(), picture.stream_time(), picture.exposure_monotonic_ns()));
@@ -115,7 +111,7 @@ fn what_decodes_too_slowly_plays_slower() {
         // 50 ms for a frame that is due after 33 ms: behind by a second at the end.
         let text = format!("{} ! identity sleep-time=50000", video(60, 320, "I420"));
         let mut source =
-            Source::open(SourceSpec::Description(text), parameters(Paced::RealTime)).unwrap();
+            FrameSource::open(SourceSpec::Description(text), parameters(Flow::Latest)).unwrap();
         let mut seen = Vec::new();
         loop {
             match source.next(Duration::from_secs(5)).unwrap() {
@@ -140,7 +136,7 @@ fn a_loop_starts_again_from_zero() {
         let clip = scratch
             .clip("clip.mkv", &format!("{} ! avenc_ffv1 ! matroskamux", video(5, 320, "I420")));
         let mut source =
-            open(&clip, SourceParameters { looping: true, ..parameters(Paced::Lossless) });
+            open(&clip, SourceParameters { looping: true, ..parameters(Flow::Lossless) });
         let mut rounds = vec![Vec::new()];
         while rounds.len() <= 3 {
             match source.next(Duration::from_secs(5)).unwrap() {
@@ -166,7 +162,7 @@ fn cut_recordings_play_to_where_they_were_cut() {
         for (name, muxer) in [("clip.mkv", "matroskamux"), ("clip.mp4", "mp4mux faststart=true")] {
             let whole = scratch.clip(name, &format!("{h264} ! {muxer}"));
             let cut = scratch.cut(&whole, &format!("cut_{name}"), 0.6);
-            let end = play(&mut open(&cut, parameters(Paced::Lossless)), |_| {});
+            let end = play(&mut open(&cut, parameters(Flow::Lossless)), |_| {});
             let EndReason::Truncated { decoded, reason } = end else { panic!("{name}: {end}") };
             assert!((10..55).contains(&decoded), "{name}: {decoded}");
             assert!(reason.contains("cut short"), "{reason}");
@@ -180,7 +176,8 @@ fn an_mp4_without_its_index_says_so() {
         let scratch = Scratch::new();
         let h264 = format!("{} ! openh264enc ! h264parse ! mp4mux", video(60, 320, "I420"));
         let cut = scratch.cut(&scratch.clip("clip.mp4", &h264), "cut.mp4", 0.6);
-        let error = Source::open(SourceSpec::File(cut), parameters(Paced::Lossless)).unwrap_err();
+        let error =
+            FrameSource::open(SourceSpec::File(cut), parameters(Flow::Lossless)).unwrap_err();
         assert!(
             matches!(&error, CaptureError::NotAVideo { reason, .. } if reason.contains("moov")),
             "{error}"
@@ -197,13 +194,13 @@ fn what_is_no_video_is_refused() {
         scratch.clip("sound.mkv", "audiotestsrc num-buffers=20 ! vorbisenc ! matroskamux");
         for name in ["text.mp4", "empty.mp4", "sound.mkv"] {
             let error =
-                Source::open(SourceSpec::File(scratch.path(name)), parameters(Paced::RealTime))
+                FrameSource::open(SourceSpec::File(scratch.path(name)), parameters(Flow::Latest))
                     .unwrap_err();
             assert!(matches!(error, CaptureError::NotAVideo { .. }), "{name}: {error:?}");
             assert!(error.to_string().contains(name), "{error}");
         }
         let gone =
-            Source::open(SourceSpec::File(scratch.path("gone.mp4")), parameters(Paced::RealTime))
+            FrameSource::open(SourceSpec::File(scratch.path("gone.mp4")), parameters(Flow::Latest))
                 .unwrap_err();
         assert!(matches!(gone, CaptureError::Missing { .. }), "{gone:?}");
     });
@@ -215,7 +212,8 @@ fn another_size_is_refused_with_the_cure() {
         let scratch = Scratch::new();
         let clip = scratch
             .clip("clip.mkv", &format!("{} ! avenc_ffv1 ! matroskamux", video(5, 322, "I420")));
-        let error = Source::open(SourceSpec::File(clip), parameters(Paced::Lossless)).unwrap_err();
+        let error =
+            FrameSource::open(SourceSpec::File(clip), parameters(Flow::Lossless)).unwrap_err();
         let CaptureError::Size { expected, found, .. } = &error else { panic!("{error}") };
         assert_eq!((*expected, *found), ((320, 240), (322, 240)));
         assert!(
@@ -231,7 +229,7 @@ fn a_file_says_what_decodes_it() {
         let scratch = Scratch::new();
         let clip = scratch
             .clip("clip.mkv", &format!("{} ! avenc_ffv1 ! matroskamux", video(5, 320, "I420")));
-        let source = open(&clip, parameters(Paced::Lossless));
+        let source = open(&clip, parameters(Flow::Lossless));
         let text = source.describe();
         for part in
             ["clip.mkv", "320x240", "30.00 frames/s", "I420", "limited", "avdec_ffv1 (software)"]
@@ -249,7 +247,7 @@ fn video_is_told_from_pictures_that_are_coded_each_by_itself() {
         let decodes_video = |name: &str, coder: &str| {
             let clip =
                 scratch.clip(name, &format!("{}{coder} ! matroskamux", video(5, 320, "I420")));
-            open(&clip, parameters(Paced::Lossless)).decodes_video()
+            open(&clip, parameters(Flow::Lossless)).decodes_video()
         };
         assert!(decodes_video("h264.mkv", " ! openh264enc ! h264parse"));
         assert!(!decodes_video("mjpeg.mkv", " ! jpegenc"));

@@ -1,5 +1,5 @@
-//! The time of searching views that are full of texture and hold no marker: ours and OpenCV's, measured
-//! alternately.
+//! The time of searching views that are full of texture and hold no marker: ours and OpenCV's,
+//! measured alternately.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used)]
 
 #[path = "../tests/shared/mod.rs"]
@@ -11,7 +11,7 @@ use criterion::{Criterion, criterion_group};
 use flockeye_detection::candidates::Finder;
 use flockeye_detection::{DarkerBy, Detector, DetectorParameters, Threshold};
 use flockeye_geometry::view::View;
-use flockeye_imaging::edges::Effort;
+use flockeye_imaging::edges::CornerFit;
 use flockeye_imaging::light::{CodeRange, LinearLight, TransferCurve};
 use opencv::aruco::{self, PREDEFINED_DICTIONARY_NAME};
 use opencv::core::{Mat, Point, Vector};
@@ -28,11 +28,11 @@ const SHORTEST: usize = 26;
 /// How often each way is measured for the table.
 const ROUNDS: usize = 15;
 
-/// The stage's parameters for a tile in flight, where fusion aligns whole bodies: its windows are those that OpenCV's
-/// function has too.
+/// The stage's parameters for a tile in flight, where fusion aligns whole bodies: its windows are
+/// those that OpenCV's function has too.
 fn parameters() -> DetectorParameters {
     let mut parameters =
-        DetectorParameters { effort: Effort::Edges, ..DetectorParameters::default() };
+        DetectorParameters { effort: CornerFit::Edges, ..DetectorParameters::default() };
     parameters.thresholds.retain(|threshold| matches!(threshold.darker_by, DarkerBy::Codes(_)));
     parameters
 }

@@ -17,12 +17,16 @@ use crate::quad::Quad;
 use crate::three_corners;
 
 /// Least pixels in the outline of a square, for each pixel of its side. A square that stands on its
-/// corner has the shortest outline, because its pixels join diagonally: 4 / sqrt 2 = 2.8, less some for
-/// what blur takes away.
+/// corner has the shortest outline, because its pixels join diagonally: 4 / sqrt 2 = 2.8, less some
+/// for what blur takes away.
 const MIN_OUTLINE_PER_SIDE: f64 = 2.4;
 
 /// Longest outline of a square, in sides of the view: a square as large as the view has four.
 const MAX_OUTLINE_PER_VIEW: f64 = 4.0;
+
+/// How far an outline may deviate from a quadrilateral, as a share of its length. Decides how
+/// rounded the corners of small markers may be.
+const POLYGON_ACCURACY: f64 = 0.05;
 
 /// Shortest side and diagonal of a quadrilateral, as a share of its outline. OpenCV's
 /// `minCornerDistanceRate` has the same default.
@@ -61,7 +65,7 @@ impl Finder {
             for (encloses, outline) in outlines.iter() {
                 let length = outline.len() as f64;
                 self.approximator.set_outline(outline);
-                let accuracy_px = parameters.polygon_accuracy * length;
+                let accuracy_px = POLYGON_ACCURACY * length;
                 // An outline around a hole is bright inside: it is no marker's.
                 if encloses == Encloses::Dark {
                     let polygon = self.approximator.approximate(accuracy_px);

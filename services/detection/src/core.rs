@@ -6,15 +6,16 @@ use flockeye_contract::{
 };
 use flockeye_convert::{RadianceCache, image_of, view_of};
 use flockeye_geometry::body::Bodies;
-use flockeye_imaging::edges::Effort;
+use flockeye_imaging::edges::CornerFit;
 
-use crate::detector::Found;
+use crate::detector::MarkerInView;
 use crate::engine::Engine;
 use crate::parameters::DetectorParameters;
 use crate::plausible::keep_plausible;
 use crate::windows::thresholds;
 
-/// Most markers in one record: as many as the topic has room for, and no more than the contract allows.
+/// Most markers in one record: as many as the topic has room for, and no more than the contract
+/// allows.
 pub const MAX_MARKERS: usize = 64;
 const _: () = assert!(MAX_MARKERS <= MAX_DETECTED_MARKERS);
 
@@ -30,17 +31,6 @@ pub struct Core {
     generation: u32,
 }
 
-/// The answer to a view.
-#[derive(Debug)]
-pub struct Record {
-    /// The record's header, without the times of the search.
-    pub header: DetectionHeader,
-    /// The markers found, doubtful ones last.
-    pub markers: Vec<DetectedMarker>,
-    /// Why the view could not be searched. The record acknowledges it all the same.
-    pub failure: Option<anyhow::Error>,
-}
-
 impl Core {
     /// For `worker`, whose process was replaced `generation` times.
     ///
@@ -52,8 +42,8 @@ impl Core {
             min_side_px: pipeline.detection.min_side_px,
             // Where fusion aligns whole bodies it only begins from corners, and time matters more.
             effort: match pipeline.fusion.align {
-                true => Effort::Edges,
-                false => Effort::WholePrint,
+                true => CornerFit::Edges,
+                false => CornerFit::WholePrint,
             },
             ..DetectorParameters::default()
         };
@@ -77,28 +67,34 @@ impl Core {
         &self.bodies.dictionary
     }
 
-    /// The record for a view. `None` if the view is meant for another worker.
-    pub fn on_view(&mut self, header: &ViewHeader, pixels: &[u8]) -> Option<Record> {
+    /// The record for a view: its header without the times of the search, and the markers found,
+    /// doubtful ones last, or why the view could not be searched. The header acknowledges the view
+    /// all the same. `None` if the view is meant for another worker.
+    pub fn on_view(
+        &mut self,
+        header: &ViewHeader,
+        pixels: &[u8],
+    ) -> Option<(DetectionHeader, anyhow::Result<Vec<DetectedMarker>>)> {
         if header.worker != self.worker {
             return None;
         }
-        let (mut found, failure) = match self.find(header, pixels) {
-            Ok(found) => (found, None),
-            Err(error) => (Vec::new(), Some(error)),
-        };
-        found.truncate(MAX_MARKERS);
-        let is_hit = |found: &&Found| !found.is_doubtful && self.bodies.owner(found.id).is_some();
+        let mut found = self.find(header, pixels);
+        if let Ok(found) = &mut found {
+            found.truncate(MAX_MARKERS);
+        }
+        let is_hit =
+            |found: &&MarkerInView| !found.is_doubtful && self.bodies.owner(found.id).is_some();
         let header = DetectionHeader {
             generation: self.generation,
             worker: self.worker,
-            hits: found.iter().filter(is_hit).count() as u32,
-            failed: u32::from(failure.is_some()),
+            hits: found.iter().flatten().filter(is_hit).count() as u32,
+            failed: u32::from(found.is_err()),
             ..DetectionHeader::answering(header)
         };
-        Some(Record { header, markers: found.iter().map(detected).collect(), failure })
+        Some((header, found.map(|found| found.iter().map(detected).collect())))
     }
 
-    fn find(&mut self, header: &ViewHeader, pixels: &[u8]) -> anyhow::Result<Vec<Found>> {
+    fn find(&mut self, header: &ViewHeader, pixels: &[u8]) -> anyhow::Result<Vec<MarkerInView>> {
         let search = Search::try_from(header.search)?;
         if search == Search::Nothing {
             return Ok(Vec::new());
@@ -113,7 +109,7 @@ impl Core {
     }
 }
 
-fn detected(found: &Found) -> DetectedMarker {
+fn detected(found: &MarkerInView) -> DetectedMarker {
     DetectedMarker {
         rays_in_camera: found.rays_in_camera.map(|ray| [ray.x, ray.y, ray.z]),
         deviations: found.deviations_rad,
@@ -167,6 +163,16 @@ mod tests {
         pixels
     }
 
+    /// The answer to a view that can be searched.
+    fn answer(
+        core: &mut Core,
+        header: &ViewHeader,
+        pixels: &[u8],
+    ) -> (DetectionHeader, Vec<DetectedMarker>) {
+        let (header, markers) = core.on_view(header, pixels).expect("it is ours");
+        (header, markers.expect("it can be searched"))
+    }
+
     fn view() -> ViewHeader {
         ViewHeader {
             stamp: FrameStamp { sequence: 7, epoch: 1, ..FrameStamp::default() },
@@ -187,29 +193,27 @@ mod tests {
     #[test]
     fn a_view_is_answered_with_its_markers() {
         let pixels = drawn(&[(3, 100, 200), (240, 400, 300)], 6);
-        let record = core().on_view(&view(), &pixels).expect("it is ours");
-        assert!(record.failure.is_none());
-        let header = record.header;
-        assert_eq!(header.check(&record.markers), Ok(()));
+        let (header, markers) = answer(&mut core(), &view(), &pixels);
+        assert_eq!(header.check(&markers), Ok(()));
         assert_eq!((header.stamp, header.plan_id), (view().stamp, 3));
         assert_eq!((header.taken_ns, header.issued_ns), (11, 12));
         assert_eq!((header.view_index, header.attempt), (4, 1));
         assert_eq!((header.worker, header.generation, header.failed), (2, 5, 0));
-        let ids: Vec<u32> = record.markers.iter().map(|marker| marker.id).collect();
+        let ids: Vec<u32> = markers.iter().map(|marker| marker.id).collect();
         assert_eq!(ids, [3, 240]);
         // Only the first belongs to the configured body.
         assert_eq!(header.hits, 1);
-        let [x, y] = record.markers[0].corners_in_view[0];
+        let [x, y] = markers[0].corners_in_view[0];
         assert!((x - 99.5).abs() < 0.2 && (y - 199.5).abs() < 0.2, "{x} {y}");
-        let [right, down, _] = record.markers[0].rays_in_camera[0];
+        let [right, down, _] = markers[0].rays_in_camera[0];
         assert!(right < 0.0 && down < 0.0, "it is left of the middle, and above it");
     }
 
     #[test]
     fn opencv_finds_the_same_markers() {
         let pixels = drawn(&[(3, 100, 200), (240, 400, 300)], 6);
-        let [own, theirs] = ["own", "opencv"]
-            .map(|engine| core_with(engine).on_view(&view(), &pixels).expect("it is ours").markers);
+        let [own, theirs] =
+            ["own", "opencv"].map(|engine| answer(&mut core_with(engine), &view(), &pixels).1);
         let ids = |markers: &[DetectedMarker]| markers.iter().map(|m| m.id).collect::<Vec<u32>>();
         assert_eq!(ids(&own), ids(&theirs));
         for (own, theirs) in own.iter().zip(&theirs) {
@@ -224,8 +228,8 @@ mod tests {
     fn one_id_at_two_places_is_reported_twice() {
         let pixels = drawn(&[(3, 100, 200), (3, 400, 300)], 6);
         for engine in ["own", "opencv"] {
-            let record = core_with(engine).on_view(&view(), &pixels).expect("it is ours");
-            let ids: Vec<u32> = record.markers.iter().map(|marker| marker.id).collect();
+            let (_, markers) = answer(&mut core_with(engine), &view(), &pixels);
+            let ids: Vec<u32> = markers.iter().map(|marker| marker.id).collect();
             assert_eq!(ids, [3, 3], "{engine}");
         }
     }
@@ -243,8 +247,7 @@ mod tests {
                 *pixel = 25;
             }
         }
-        let record = core().on_view(&view(), &pixels).expect("it is ours");
-        assert_eq!(record.header.hits, 1);
+        assert_eq!(answer(&mut core(), &view(), &pixels).0.hits, 1);
     }
 
     #[test]
@@ -257,8 +260,8 @@ mod tests {
             let is_white = print.is_white((y / 8) as isize, (x / 8) as isize);
             pixels[(200 + y) * SIZE as usize + 100 + x] = if is_white { 40 } else { 30 };
         }
-        let record = core().on_view(&view(), &pixels).expect("it is ours");
-        assert_eq!(record.header.hits, 0, "{:?}", record.markers);
+        let (header, markers) = answer(&mut core(), &view(), &pixels);
+        assert_eq!(header.hits, 0, "{markers:?}");
     }
 
     #[test]
@@ -270,9 +273,9 @@ mod tests {
     #[test]
     fn a_view_whose_pixels_alone_are_wanted_is_acknowledged_unsearched() {
         let header = ViewHeader { search: Search::Nothing.code(), ..view() };
-        let record = core().on_view(&header, &drawn(&[(3, 100, 200)], 6)).expect("it is ours");
-        assert!(record.markers.is_empty() && record.failure.is_none());
-        assert_eq!((record.header.hits, record.header.failed), (0, 0));
+        let (header, markers) = answer(&mut core(), &header, &drawn(&[(3, 100, 200)], 6));
+        assert!(markers.is_empty());
+        assert_eq!((header.hits, header.failed), (0, 0));
     }
 
     #[test]
@@ -281,10 +284,9 @@ mod tests {
         let refused = |change: &dyn Fn(&mut ViewHeader)| {
             let mut header = view();
             change(&mut header);
-            let record = core().on_view(&header, &pixels).expect("it is ours");
-            assert!(record.markers.is_empty());
-            assert_eq!((record.header.hits, record.header.failed), (0, 1));
-            record.failure.expect("it says why").to_string()
+            let (header, markers) = core().on_view(&header, &pixels).expect("it is ours");
+            assert_eq!((header.hits, header.failed), (0, 1));
+            markers.expect_err("it says why").to_string()
         };
         let no_table = refused(&|header| header.transfer = Transfer::Table.code());
         assert!(no_table.contains("camera.response_table"), "{no_table}");
@@ -299,15 +301,14 @@ mod tests {
         let pixels = drawn(&[(3, 100, 200)], 4);
         for search in [Search::FineWindow, Search::CoarseWindow, Search::AllWindows] {
             let header = ViewHeader { search: search.code(), ..view() };
-            let record = core().on_view(&header, &pixels).expect("it is ours");
-            assert_eq!(record.header.hits, 1, "{search:?}");
+            assert_eq!(answer(&mut core(), &header, &pixels).0.hits, 1, "{search:?}");
         }
     }
 
     #[test]
     fn an_answer_does_not_depend_on_earlier_views() {
         let pixels = drawn(&[(3, 100, 200), (190, 300, 120)], 5);
-        let fresh = core().on_view(&view(), &pixels).expect("it is ours");
+        let fresh = answer(&mut core(), &view(), &pixels);
         let mut used = core();
         let magnified = ViewHeader {
             kind: ViewKind::Roi.code(),
@@ -315,9 +316,8 @@ mod tests {
             search: Search::CoarseWindow.code(),
             ..view()
         };
-        used.on_view(&magnified, &drawn(&[(5, 50, 50)], 9)).expect("it is ours");
-        let again = used.on_view(&view(), &pixels).expect("it is ours");
-        assert_eq!((again.header, again.markers), (fresh.header, fresh.markers));
+        answer(&mut used, &magnified, &drawn(&[(5, 50, 50)], 9));
+        assert_eq!(answer(&mut used, &view(), &pixels), fresh);
     }
 
     #[test]
@@ -326,9 +326,9 @@ mod tests {
         let id = |k: usize| if k == 40 { 3 } else { 100 + k as u32 };
         let markers: Vec<(u32, usize, usize)> =
             (0..81).map(|k| (id(k), 20 + k % 9 * 62, 20 + k / 9 * 62)).collect();
-        let record = core().on_view(&view(), &drawn(&markers, 5)).expect("it is ours");
-        assert_eq!(record.markers.len(), MAX_MARKERS);
-        assert_eq!(record.header.check(&record.markers), Ok(()));
-        assert_eq!(record.header.hits, 1);
+        let (header, markers) = answer(&mut core(), &view(), &drawn(&markers, 5));
+        assert_eq!(markers.len(), MAX_MARKERS);
+        assert_eq!(header.check(&markers), Ok(()));
+        assert_eq!(header.hits, 1);
     }
 }

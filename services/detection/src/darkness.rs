@@ -1,16 +1,17 @@
 //! Which pixels are darker than their surroundings.
 //!
-//! A pixel is dark if it is darker by some code values, or by some share, than the mean of the square window around it.
-//! With code values that is OpenCV's `adaptiveThreshold`. The mean of a large window changes little from pixel to pixel.
-//! So it is computed from the means of blocks, which takes a fraction of the time.
+//! A pixel is dark if it is darker by some code values, or by some share, than the mean of the
+//! square window around it. With code values that is OpenCV's `adaptiveThreshold`. The mean of a
+//! large window changes little from pixel to pixel. So it is computed from the means of blocks,
+//! which takes a fraction of the time.
 
 use flockeye_imaging::image::LumaImage;
 
 use crate::windows::Threshold;
 
-/// Least blocks along the side of a window that has as many pixels. Decides how far a window may be off
-/// its place: half a block. A window has less than twice as many blocks, so that the sum of their means
-/// fits 16 bits.
+/// Least blocks along the side of a window that has as many pixels. Decides how far a window may be
+/// off its place: half a block. A window has less than twice as many blocks, so that the sum of
+/// their means fits 16 bits.
 const MIN_BLOCKS: usize = 7;
 
 /// Finds the dark pixels of an image; reuses its memory for the next one.
@@ -20,31 +21,23 @@ pub(crate) struct Darkness {
     /// Sum of each column of blocks over the height of a window, and of each whole window.
     columns: Vec<u16>,
     windows: Vec<u16>,
-    /// The code value below which a pixel is dark: one for each column, and one for each two columns.
+    /// The code value below which a pixel is dark: one for each column, and one for each two
+    /// columns.
     limits: Vec<u8>,
     coarser: Vec<u8>,
-    dark: Dark,
+    dark: DarkPixels,
 }
 
 /// The dark pixels of an image, with a border of one pixel that is not dark.
 #[derive(Debug, Default)]
-pub(crate) struct Dark {
-    /// Row by row: 1 for a dark pixel, 0 for another.
-    pixels: Vec<u8>,
-    stride: usize,
+pub(crate) struct DarkPixels {
+    /// Every pixel, border included, row by row: 1 for a dark one, 0 for another.
+    pub(crate) pixels: Vec<u8>,
+    /// Pixels in a row, border included.
+    pub(crate) stride: usize,
 }
 
-impl Dark {
-    /// Every pixel, border included.
-    pub(crate) fn pixels(&self) -> &[u8] {
-        &self.pixels
-    }
-
-    /// Pixels in a row, border included.
-    pub(crate) fn stride(&self) -> usize {
-        self.stride
-    }
-
+impl DarkPixels {
     /// Starts an image with rows of `width` pixels.
     pub(crate) fn begin(&mut self, width: usize) {
         self.stride = width + 2;
@@ -52,7 +45,6 @@ impl Dark {
         self.pixels.resize(self.stride, 0);
     }
 
-    /// Adds a row.
     #[inline(always)]
     pub(crate) fn add(&mut self, row: impl ExactSizeIterator<Item = u8>) {
         let start = self.pixels.len() + 1;
@@ -70,7 +62,7 @@ impl Dark {
 
 impl Darkness {
     /// Finds the dark pixels of `image`.
-    pub(crate) fn of(&mut self, image: &LumaImage<'_>, threshold: Threshold) -> &Dark {
+    pub(crate) fn of(&mut self, image: &LumaImage<'_>, threshold: Threshold) -> &DarkPixels {
         #[cfg(target_arch = "x86_64")]
         if std::arch::is_x86_feature_detected!("avx2") {
             // SAFETY: the line above has checked that the processor has AVX2.
@@ -98,8 +90,8 @@ impl Darkness {
         self.blocks.find(image, side, across / 2);
         let stride = self.blocks.stride;
         let area = (across * across) as u32;
-        // In integers of 16 bits, of which the compiler divides eight at once by this multiplication. Its
-        // result is right to a fifth of a code value.
+        // In integers of 16 bits, of which the compiler divides eight at once by this
+        // multiplication. Its result is right to a fifth of a code value.
         let (reciprocal, half) = ((65536 + area / 2) / area, (area / 2) as u16);
         let limit_of = |sum: u16| {
             let mean = ((u32::from(sum + half) * reciprocal) >> 16) as u16;
@@ -227,7 +219,7 @@ mod tests {
         darkness
             .of(&LumaImage::new(&[9; 12], 4, 3, 4).unwrap(), Threshold { window_px: 5, darker_by });
         let dark = darkness.of(image, Threshold { window_px, darker_by });
-        let rows: Vec<&[u8]> = dark.pixels().chunks_exact(dark.stride()).collect();
+        let rows: Vec<&[u8]> = dark.pixels.chunks_exact(dark.stride).collect();
         let (first, rest) = rows.split_first().unwrap();
         let (last, rows) = rest.split_last().unwrap();
         assert!(first.iter().chain(*last).all(|&dark| dark == 0) && rows.len() == image.height());
@@ -276,7 +268,8 @@ mod tests {
             }
         }
 
-        /// Dark spots on a slowly changing background: the results agree where spots stand out clearly.
+        /// Dark spots on a slowly changing background: the results agree where spots stand out
+        /// clearly.
         #[test]
         fn large_windows_are_those_of_opencv(
             (slope, lean) in (-0.4..0.4f64, -0.4..0.4f64),
@@ -319,7 +312,8 @@ mod tests {
         }
     }
 
-    /// A square of print that the edge of a shadow crosses. White in the shade has 70 code values, black in the sun 45.
+    /// A square of print that the edge of a shadow crosses. White in the shade has 70 code values,
+    /// black in the sun 45.
     #[test]
     fn by_a_share_of_the_mean_white_in_the_shade_is_not_dark() {
         let pixels: Vec<u8> = (0..100 * 100)
@@ -342,7 +336,7 @@ mod tests {
             let inside = (20..80).flat_map(|y| (20..80).map(move |x| (x, y)));
             inside
                 .filter(|&(x, y)| {
-                    let is_dark = dark.pixels()[(y + 1) * dark.stride() + x + 1] == 1;
+                    let is_dark = dark.pixels[(y + 1) * dark.stride + x + 1] == 1;
                     let is_black = (35..65).contains(&x) && (35..65).contains(&y);
                     // Deep in the square nothing is brighter around.
                     let is_deep = (40..60).contains(&x) && (40..60).contains(&y);

@@ -17,7 +17,7 @@ use crate::candidates::{Candidates, Finder};
 use crate::drawn::SAMPLE_CELLS;
 use crate::parameters::{DetectError, DetectorParameters, check_thresholds};
 use crate::quad::{Quad, centre, rotated, with_parallelogram_corner};
-use crate::reader::{Correlations, Decoded, Explained, Reader};
+use crate::reader::{Correlations, Decoded, Explained, MarkerReader};
 use crate::reading::Reading;
 use crate::shape::is_square;
 use crate::windows::Threshold;
@@ -25,59 +25,70 @@ use crate::windows::Threshold;
 /// Images with a shorter side are not searched, pixels: they hold no marker with its quiet zone.
 const MIN_IMAGE_PX: usize = 16;
 
-/// Standard deviation of a corner whose edges could not be fitted, pixels. Something covers them then, and
-/// outlines are off by one to three pixels.
+/// Standard deviation of a corner whose edges could not be fitted, pixels. Something covers them
+/// then, and outlines are off by one to three pixels.
 const UNREFINED_PX: f64 = 2.0;
 
 /// Most doubtful markers that a view gives.
 pub const MAX_DOUBTFUL: usize = 4;
 
-// docs/results/constants.md#limits-of-detection has what is found, and what is false, with other values of these.
+// docs/results/constants.md#limits-of-detection has what is found, and what is false, with other
+// values of these.
 
-/// Largest residual of the fitted print, as a share of its contrast. Print differs from its blurred image
-/// by a few hundredths, texture by more.
+/// Largest residual of the fitted print, as a share of its contrast. Print differs from its blurred
+/// image by a few hundredths, texture by more.
 const MAX_MISFIT: f64 = 0.15;
 
 /// Largest blur of a marker, cells. Texture that reads as a marker is smooth; wider blurs must pass
 /// [`BLURRED`].
 const MAX_BLUR_CELLS: f64 = 0.75;
 
-/// Largest blur of a marker that passes [`BLURRED`], cells. Small markers at long range are blurred by 0.8 to 1. Without it a
-/// smooth patch of a real panorama reads as a marker.
+/// Largest blur of a marker that passes [`BLURRED`], cells. Small markers at long range are blurred
+/// by 0.8 to 1. Without it a smooth patch of a real panorama reads as a marker.
 const MAX_BLUR_CELLS_AT_RANGE: f64 = 1.1;
 
-/// What markers must reach that are blurred by more than [`MAX_BLUR_CELLS`], or whose corners are uncertain: log-likelihood
-/// ratio, and residual. 7,100 squares that are blurred as much and are no markers were read, of a hall, panoramas and a simulated
-/// world. None had a ratio above 8 to the next marker. One of more views of the panoramas passes
+/// What markers must reach that are blurred by more than [`MAX_BLUR_CELLS`], or whose corners are
+/// uncertain: log-likelihood ratio, and residual. 7,100 squares that are blurred as much and are no
+/// markers were read, of a hall, panoramas and a simulated world. None had a ratio above 8 to the
+/// next marker. One of more views of the panoramas passes
 /// (docs/results/constants.md#shape-of-squares).
 const BLURRED: (f32, f64) = (12.0, 0.06);
 
-/// Where corners are only approximate, cells are sampled off their middles. A reading there is worth a fit
-/// from this share of the least log-likelihood ratio on.
+/// Least log-likelihood ratio of the marker to the next likely one, and to what is no marker.
+const MIN_LOG_LIKELIHOOD_RATIO: f32 = 10.0;
+
+/// Least step from the border out to the quiet zone, on each side, as a share of that from black
+/// print to white paper.
+const MIN_QUIET_ZONE: f32 = 0.2;
+
+/// Where corners are only approximate, cells are sampled off their middles. A reading there is
+/// worth a fit from this share of the least log-likelihood ratio on.
 const WORTH_FITTING: f32 = 0.5;
 
-/// Without fitted edges a marker is accepted from this multiple of the least log-likelihood ratio on.
+/// Without fitted edges a marker is accepted from this multiple of the least log-likelihood ratio
+/// on.
 const UNREFINED_RATIO: f32 = 2.0;
 
-/// Least contrast of a marker's cells, as a share of that between its quiet zone and its border. The cells of empty squares
-/// that read as a marker by their noise had at most 0.13 on photographs, those of 4,041 markers at least 0.59.
+/// Least contrast of a marker's cells, as a share of that between its quiet zone and its border.
+/// The cells of empty squares that read as a marker by their noise had at most 0.13 on photographs,
+/// those of 4,041 markers at least 0.59.
 const MIN_CELL_CONTRAST: f32 = 0.28;
 
-/// A square is another outline of a refined marker if each of its corners lies this near to one of the
-/// marker's: pixels, and a share of the marker's side.
+/// A square is another outline of a refined marker if each of its corners lies this near to one of
+/// the marker's: pixels, and a share of the marker's side.
 const SAME_CORNER: (f64, f64) = (2.0, 0.05);
 
 /// A square is on a marker already found if their centres are nearer than this share of the
 /// marker's side.
 const SAME_PLACE_SHARE: f64 = 0.3;
 
-/// A marker printed inside another one is smaller by more than this factor: with its margin it has to fit among the other's
-/// cells.
+/// A marker printed inside another one is smaller by more than this factor: with its margin it has
+/// to fit among the other's cells.
 const NESTED_SIDE_RATIO: f64 = 2.5;
 
 /// A marker in a view.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Found {
+pub struct MarkerInView {
     /// Its id in the dictionary.
     pub id: u32,
     /// Its corners in ArUco's order: clockwise from the printed top left.
@@ -98,7 +109,7 @@ pub struct Found {
 /// Finds the markers of one dictionary.
 pub struct Detector {
     dictionary: Dictionary,
-    reader: Reader,
+    reader: MarkerReader,
     parameters: DetectorParameters,
     mask: Option<Mask>,
     /// Ids that a doubtful square may have.
@@ -116,7 +127,7 @@ impl Detector {
     pub fn new(dictionary: &str, parameters: DetectorParameters) -> Result<Self, DetectError> {
         parameters.check()?;
         let dictionary = Dictionary::load(dictionary)?;
-        let reader = Reader::new(&dictionary);
+        let reader = MarkerReader::new(&dictionary);
         Ok(Self {
             dictionary,
             reader,
@@ -165,20 +176,21 @@ impl Detector {
         self.parameters.corner_accuracy_px = 1.0 + magnification.max(1.0);
     }
 
-    /// Finds every marker in `image`, which shows what `view` says: by rising id. One id may be at several places. After
-    /// them come at most [`MAX_DOUBTFUL`] doubtful ones of other ids, the best first.
+    /// Finds every marker in `image`, which shows what `view` says: by rising id. One id may be at
+    /// several places. After them come at most [`MAX_DOUBTFUL`] doubtful ones of other ids, the
+    /// best first.
     pub fn detect(
         &mut self,
         image: &LumaImage<'_>,
         view: &View,
         light: &LinearLight,
-    ) -> Vec<Found> {
+    ) -> Vec<MarkerInView> {
         if image.width().min(image.height()) < MIN_IMAGE_PX {
             return Vec::new();
         }
         let Candidates { whole, completed } = self.finder.find(image, &self.parameters);
-        let mut found: Vec<Found> = Vec::new();
-        let mut doubtful: Vec<Found> = Vec::new();
+        let mut found: Vec<MarkerInView> = Vec::new();
+        let mut doubtful: Vec<MarkerInView> = Vec::new();
         // Several thresholds may give the same square; it would be read with the same result.
         let mut read = HashSet::new();
         for quad in whole.iter().chain(&completed) {
@@ -194,7 +206,7 @@ impl Detector {
                 None => {}
             }
         }
-        let order = |a: &Found, b: &Found| {
+        let order = |a: &MarkerInView, b: &MarkerInView| {
             let likelier = b.correlation.total_cmp(&a.correlation);
             b.is_refined.cmp(&a.is_refined).then(likelier).then(a.id.cmp(&b.id))
         };
@@ -212,7 +224,7 @@ impl Detector {
         view: &View,
         light: &LinearLight,
         quad: &Quad,
-    ) -> Option<Found> {
+    ) -> Option<MarkerInView> {
         let near = approach_corners(image, light, quad, self.dictionary.bits() + 2)?;
         if mean_side_px(&near) < self.parameters.min_side_px {
             return None;
@@ -230,9 +242,11 @@ impl Detector {
         light: &LinearLight,
         near: &Quad,
         correlations: &Correlations,
-    ) -> Option<Found> {
+    ) -> Option<MarkerInView> {
         let decoded = correlations.best()?;
-        if !self.is_worth_fitting(&decoded) {
+        let is_worth_fitting =
+            decoded.log_likelihood_ratio() >= WORTH_FITTING * MIN_LOG_LIKELIHOOD_RATIO;
+        if !is_worth_fitting {
             return None;
         }
         let print = self.dictionary.print(decoded.id)?;
@@ -240,7 +254,10 @@ impl Detector {
         let (corners, reading, explained) =
             self.with_hidden_corner(image, light, &outline, print)?;
         let (decoded, lighting) = (decoded.with(&explained), explained.lighting());
-        let by_outline = self.is_accepted_unrefined(&decoded) && self.has_cells(&reading, print);
+        // A reading alone may be enough, without fitted edges.
+        let by_outline = decoded.log_likelihood_ratio()
+            >= UNREFINED_RATIO * MIN_LOG_LIKELIHOOD_RATIO
+            && self.has_cells(&reading, print);
         let mut refined = self.refined(image, light, &corners, print, lighting);
         if refined.is_none() && by_outline {
             refined = (0..4)
@@ -256,18 +273,18 @@ impl Detector {
             let is_accepted = is_same
                 && self.looks_printed(&refined, &confirmed)
                 && self.has_cells(&reading, print);
-            is_accepted.then(|| Found {
+            is_accepted.then(|| MarkerInView {
                 is_refined: true,
                 correlation: confirmed.correlation,
                 ..found_at(view, decoded.id, refined.corners_in_view, refined.sigmas_px)
             })
         });
-        // Where nothing could be fitted the outline's corners stay. In even light a fit that is refused says that this is no
-        // print; in uneven light it says only that a shadow spoils it.
+        // Where nothing could be fitted the outline's corners stay. In even light a fit that is
+        // refused says that this is no print; in uneven light it says only that a shadow spoils it.
         let keeps_outline = by_outline && (refined.is_none() || lighting == Lighting::Uneven);
         fitted
             .or_else(|| {
-                keeps_outline.then(|| Found {
+                keeps_outline.then(|| MarkerInView {
                     correlation: decoded.correlation,
                     ..found_at(view, decoded.id, corners, [UNREFINED_PX; 4])
                 })
@@ -275,8 +292,8 @@ impl Detector {
             .filter(|marker| is_square(&marker.rays_in_camera, &marker.deviations_rad))
     }
 
-    /// The corners of an outline or, where the print reads better so, with one of them where a parallelogram has it: the
-    /// outline goes round what hides a corner. With what is read there.
+    /// The corners of an outline or, where the print reads better so, with one of them where a
+    /// parallelogram has it: the outline goes round what hides a corner. With what is read there.
     fn with_hidden_corner(
         &self,
         image: &LumaImage<'_>,
@@ -299,9 +316,14 @@ impl Detector {
     }
 
     /// The expected marker that a square looks most like, if it looks enough like it.
-    fn doubtful(&self, view: &View, near: &Quad, correlations: &Correlations) -> Option<Found> {
+    fn doubtful(
+        &self,
+        view: &View,
+        near: &Quad,
+        correlations: &Correlations,
+    ) -> Option<MarkerInView> {
         let likely = correlations.best_among(self.expected.iter().copied())?;
-        likely.is_likelier_than_no_marker().then(|| Found {
+        likely.is_likelier_than_no_marker().then(|| MarkerInView {
             correlation: likely.correlation,
             is_doubtful: true,
             ..found_at(view, likely.id, rotated(near, likely.first_corner), [UNREFINED_PX; 4])
@@ -320,7 +342,7 @@ impl Detector {
             Grain::Resampled { magnification } => magnification,
         };
         Reading::new(image, light, corners, self.dictionary.bits(), magnification)
-            .filter(|reading| reading.quiet_zone >= self.parameters.min_quiet_zone)
+            .filter(|reading| reading.quiet_zone >= MIN_QUIET_ZONE)
     }
 
     fn refined(
@@ -334,8 +356,9 @@ impl Detector {
         refine_corners(image, light, guess, print, self.grain, lighting, self.parameters.effort)
     }
 
-    /// Whether fitted corners are known well enough for each sample to lie in its own cell. Where they are not, what is read
-    /// there says less of what is printed. Texture that reads as a marker often leaves its corners open.
+    /// Whether fitted corners are known well enough for each sample to lie in its own cell. Where
+    /// they are not, what is read there says less of what is printed. Texture that reads as a
+    /// marker often leaves its corners open.
     fn samples_own_cells(&self, refined: &RefinedCorners) -> bool {
         let sigma_px =
             (refined.sigmas_px.map(|sigma| sigma * sigma).iter().sum::<f64>() / 4.0).sqrt();
@@ -347,16 +370,6 @@ impl Detector {
         mean_side_px(corners) / (self.dictionary.bits() + 2) as f64
     }
 
-    /// Whether a reading at approximate corners may be a marker's. See [`WORTH_FITTING`].
-    fn is_worth_fitting(&self, decoded: &Decoded) -> bool {
-        decoded.log_likelihood_ratio() >= WORTH_FITTING * self.parameters.min_log_likelihood_ratio
-    }
-
-    /// Whether a reading alone is enough, without fitted edges. See [`UNREFINED_RATIO`].
-    fn is_accepted_unrefined(&self, decoded: &Decoded) -> bool {
-        decoded.log_likelihood_ratio() >= UNREFINED_RATIO * self.parameters.min_log_likelihood_ratio
-    }
-
     /// Whether a square with fitted corners is this marker, rather than smooth shading.
     fn looks_printed(&self, refined: &RefinedCorners, decoded: &Decoded) -> bool {
         let blur = (refined.blur_px[0] + refined.blur_px[1])
@@ -366,7 +379,7 @@ impl Detector {
         let passes_blurred =
             decoded.log_likelihood_ratio() >= ratio && refined.residual_sigma <= misfit;
         let is_clear = blur <= MAX_BLUR_CELLS && self.samples_own_cells(refined);
-        decoded.log_likelihood_ratio() >= self.parameters.min_log_likelihood_ratio
+        decoded.log_likelihood_ratio() >= MIN_LOG_LIKELIHOOD_RATIO
             && refined.residual_sigma <= MAX_MISFIT
             && (is_clear || (blur <= MAX_BLUR_CELLS_AT_RANGE && passes_blurred))
     }
@@ -388,8 +401,8 @@ pub(crate) fn found_at(
     id: u32,
     corners_in_view: Quad,
     deviations_px: [f64; 4],
-) -> Found {
-    Found {
+) -> MarkerInView {
+    MarkerInView {
         id,
         corners_in_view,
         rays_in_camera: corners_in_view.map(|corner| view.ray(corner)),
@@ -402,12 +415,12 @@ pub(crate) fn found_at(
     }
 }
 
-/// Keeps the first of the markers at each place, which are outlines of one square or of a part of it.
-/// A marker printed inside another one has a place of its own: it is much smaller.
-fn keep_best_of_each_place(found: &mut Vec<Found>) {
-    let mut kept: Vec<Found> = Vec::with_capacity(found.len());
+/// Keeps the first of the markers at each place, which are outlines of one square or of a part of
+/// it. A marker printed inside another one has a place of its own: it is much smaller.
+fn keep_best_of_each_place(found: &mut Vec<MarkerInView>) {
+    let mut kept: Vec<MarkerInView> = Vec::with_capacity(found.len());
     for marker in found.drain(..) {
-        let is_there = |other: &Found| {
+        let is_there = |other: &MarkerInView| {
             let ratio =
                 mean_side_px(&marker.corners_in_view) / mean_side_px(&other.corners_in_view);
             is_same_place(other, &marker) && ratio.max(1.0 / ratio) < NESTED_SIDE_RATIO
@@ -419,14 +432,14 @@ fn keep_best_of_each_place(found: &mut Vec<Found>) {
     *found = kept;
 }
 
-fn is_same_place(known: &Found, marker: &Found) -> bool {
+fn is_same_place(known: &MarkerInView, marker: &MarkerInView) -> bool {
     let apart = centre(&known.corners_in_view) - centre(&marker.corners_in_view);
     apart.norm() <= SAME_PLACE_SHARE * mean_side_px(&known.corners_in_view)
 }
 
-/// Adds the best of the doubtful markers: each id once, none that was decoded, and none at the place of
-/// another marker.
-fn add_doubtful(found: &mut Vec<Found>, mut doubtful: Vec<Found>) {
+/// Adds the best of the doubtful markers: each id once, none that was decoded, and none at the
+/// place of another marker.
+fn add_doubtful(found: &mut Vec<MarkerInView>, mut doubtful: Vec<MarkerInView>) {
     doubtful.sort_by(|a, b| b.correlation.total_cmp(&a.correlation).then(a.id.cmp(&b.id)));
     let most = found.len() + MAX_DOUBTFUL;
     for marker in doubtful {
@@ -439,7 +452,7 @@ fn add_doubtful(found: &mut Vec<Found>, mut doubtful: Vec<Found>) {
 }
 
 /// Whether a quadrilateral is another outline of a marker that was found already.
-fn is_outline_of(marker: &Found, quad: &Quad) -> bool {
+fn is_outline_of(marker: &MarkerInView, quad: &Quad) -> bool {
     let (pixels, share) = SAME_CORNER;
     let near = pixels + share * mean_side_px(&marker.corners_in_view);
     marker.is_refined
@@ -449,7 +462,8 @@ fn is_outline_of(marker: &Found, quad: &Quad) -> bool {
             .all(|corner| quad.iter().any(|other| (other.0 - corner.0).norm() < near))
 }
 
-/// The angle that a pixel spans at `at`, mean of that along and across the direction from the middle.
+/// The angle that a pixel spans at `at`, mean of that along and across the direction from the
+/// middle.
 fn radians_per_pixel(view: &View, at: ViewPixel) -> f64 {
     let (x, y) = (at.0.x - view.centre_px(), at.0.y - view.centre_px());
     let squared = x * x + y * y + view.focal_px * view.focal_px;

@@ -5,8 +5,8 @@ use flockeye_imaging::edges::MarkerPrint;
 /// Places of a cell where its radiance is sampled, along both axes, cells from its middle.
 pub(crate) const SAMPLE_CELLS: f64 = 0.2;
 
-/// Radiance of black print, as a share of what white paper has more. What a camera shows is first brought to this: glare
-/// adds to both, and ink differs.
+/// Radiance of black print, as a share of what white paper has more. What a camera shows is first
+/// brought to this: glare adds to both, and ink differs.
 pub(crate) const BLACK_SHARE: f32 = 0.1;
 
 /// The widest blur that steps are compared at, cells.
@@ -45,19 +45,17 @@ impl<'a> Drawn<'a> {
             .collect()
     }
 
-    /// The inner cells alone.
     pub(crate) fn cells(&self) -> Vec<f32> {
         inner_cells(&self.all_cells(), self.bits)
     }
 
-    /// The steps between the cells.
     pub(crate) fn steps(&self) -> Vec<f32> {
         let logs: Vec<f32> = self.all_cells().into_iter().map(log).collect();
         steps(&logs, self.bits)
     }
 
-    /// The steps within each inner cell, row by row: from its left half to its right one, then from its upper half to its
-    /// lower one.
+    /// The steps within each inner cell, row by row: from its left half to its right one, then from
+    /// its upper half to its lower one.
     pub(crate) fn steps_within(&self) -> Vec<f32> {
         let inner = 1..=self.bits;
         let [first, second] = &self.halves;
@@ -93,8 +91,9 @@ fn log(white: f32) -> f32 {
     (white + BLACK_SHARE).ln()
 }
 
-/// How much a cell and its two neighbours on either side add to the radiance at a point of the cell. The point lies `at`
-/// cells from the middle; the blur is a Gaussian with this standard deviation, cells.
+/// How much a cell and its two neighbours on either side add to the radiance at a point of the
+/// cell. The point lies `at` cells from the middle; the blur is a Gaussian with this standard
+/// deviation, cells.
 fn kernel(blur: f64, at: f64) -> Kernel {
     let steps = 40;
     let weights = [-2, -1, 0, 1, 2].map(|cell| {
@@ -129,8 +128,8 @@ pub(crate) fn step_count(bits: usize) -> usize {
     2 * bits * (bits + 1)
 }
 
-/// The steps between cells whose light has these logarithms, border included: along the rows, then along the columns. None
-/// counts for more than that between black print and white paper.
+/// The steps between cells whose light has these logarithms, border included: along the rows, then
+/// along the columns. None counts for more than that between black print and white paper.
 pub(crate) fn steps(logs: &[f32], bits: usize) -> Vec<f32> {
     let (all, most) = (bits + 2, largest_step());
     let mut steps = Vec::with_capacity(step_count(bits));

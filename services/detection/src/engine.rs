@@ -7,7 +7,7 @@ use flockeye_geometry::view::View;
 use flockeye_imaging::image::LumaImage;
 use flockeye_imaging::light::LinearLight;
 
-use crate::detector::{Detector, Found};
+use crate::detector::{Detector, MarkerInView};
 use crate::opencv_detector::OpenCvDetector;
 use crate::parameters::{DetectError, DetectorParameters};
 use crate::windows::Threshold;
@@ -21,8 +21,8 @@ pub enum Engine {
 }
 
 impl Engine {
-    /// The detector of this kind for the dictionary of this name. `parameters` and the `expected` ids, of which a square
-    /// that cannot be decoded may be one, are for ours alone.
+    /// The detector of this kind for the dictionary of this name. `parameters` and the `expected`
+    /// ids, of which a square that cannot be decoded may be one, are for ours alone.
     ///
     /// # Errors
     /// An unknown dictionary, a broken file, or a parameter outside its range.
@@ -57,8 +57,8 @@ impl Engine {
         }
     }
 
-    /// Finds every marker in `image`, which shows what `view` says and has `magnification` pixels for each of the
-    /// sphere's image, along either axis. By rising id, doubtful ones last.
+    /// Finds every marker in `image`, which shows what `view` says and has `magnification` pixels
+    /// for each of the sphere's image, along either axis. By rising id, doubtful ones last.
     ///
     /// # Errors
     /// Thresholds that no image can be searched with; what OpenCV says.
@@ -69,7 +69,7 @@ impl Engine {
         light: &LinearLight,
         magnification: f64,
         thresholds: impl Iterator<Item = Threshold> + Clone,
-    ) -> Result<Vec<Found>, DetectError> {
+    ) -> Result<Vec<MarkerInView>, DetectError> {
         match self {
             Self::Own(detector) => {
                 detector.set_thresholds(thresholds)?;

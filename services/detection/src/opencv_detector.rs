@@ -8,11 +8,11 @@ use flockeye_runtime::findings::Finding;
 use opencv::aruco::{self, DetectorParameters as CvParameters};
 use opencv::core::{Mat, Point2f, Ptr, Vector};
 
-use crate::detector::{Found, found_at, is_hidden};
+use crate::detector::{MarkerInView, found_at, is_hidden};
 use crate::parameters::DetectError;
 
-/// Standard deviation of a corner, pixels: docs/results/benchmarks.md has 0.7 to 0.9 without refinement, most of it
-/// because OpenCV's corners lie inside the marker.
+/// Standard deviation of a corner, pixels: docs/results/benchmarks.md has 0.7 to 0.9 without
+/// refinement, most of it because OpenCV's corners lie inside the marker.
 const CORNER_PX: f64 = 0.9;
 
 /// OpenCV's detector with its default parameters.
@@ -54,16 +54,21 @@ impl OpenCvDetector {
         &self.dictionary
     }
 
-    /// Finds every marker in `image`, which shows what `view` says, by rising id. One id may be there more than once.
+    /// Finds every marker in `image`, which shows what `view` says, by rising id. One id may be
+    /// there more than once.
     ///
     /// # Errors
     /// What OpenCV says.
-    pub fn detect(&self, image: &LumaImage<'_>, view: &View) -> Result<Vec<Found>, DetectError> {
+    pub fn detect(
+        &self,
+        image: &LumaImage<'_>,
+        view: &View,
+    ) -> Result<Vec<MarkerInView>, DetectError> {
         let rows: Vec<&[u8]> = (0..image.height()).map(|row| image.row(row)).collect();
         let copied = rows.concat();
         let (width, height) = (image.width() as i32, image.height() as i32);
         let (corners, ids) = self.markers(height, width, &copied).map_err(DictionaryError::from)?;
-        let mut found: Vec<Found> = ids
+        let mut found: Vec<MarkerInView> = ids
             .iter()
             .zip(corners.iter())
             .filter_map(|(id, corners)| {
@@ -71,7 +76,10 @@ impl OpenCvDetector {
                 let corners = [corner(0)?, corner(1)?, corner(2)?, corner(3)?]
                     .map(|corner| ViewPixel::new(f64::from(corner.x), f64::from(corner.y)));
                 let id = u32::try_from(id).ok()?;
-                Some(Found { correlation: 1.0, ..found_at(view, id, corners, [CORNER_PX; 4]) })
+                Some(MarkerInView {
+                    correlation: 1.0,
+                    ..found_at(view, id, corners, [CORNER_PX; 4])
+                })
             })
             .filter(|found| !is_hidden(self.mask.as_ref(), view, &found.corners_in_view))
             .collect();

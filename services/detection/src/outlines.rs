@@ -1,16 +1,16 @@
-//! Outlines of dark regions: border following (S. Suzuki and K. Abe, "Topological structural analysis
-//! of digitized binary images by border following", 1985), without the tree of borders.
+//! Outlines of dark regions: border following (S. Suzuki and K. Abe, "Topological structural
+//! analysis of digitized binary images by border following", 1985), without the tree of borders.
 //!
 //! The outlines are those of OpenCV's `findContours`, each from the same point and in the same
-//! direction, in the order of their first points. Regions of a single pixel are left out. A view of a
-//! hall has ten thousand outlines, of which a few hundred are long enough for a marker. Only those are
-//! kept.
+//! direction, in the order of their first points. Regions of a single pixel are left out. A view of
+//! a hall has ten thousand outlines, of which a few hundred are long enough for a marker. Only
+//! those are kept.
 
 use std::ops::RangeInclusive;
 
 use nalgebra::Vector2;
 
-use crate::darkness::Dark;
+use crate::darkness::DarkPixels;
 
 /// Mark of a pixel: an outline goes through it.
 const FOLLOWED: u8 = 1;
@@ -43,12 +43,16 @@ const WORD: usize = 8;
 /// Follows outlines; reuses its memory for the next image.
 #[derive(Debug, Default)]
 pub(crate) struct Follower {
-    /// Which neighbours of each pixel are dark: a bit for each of [`STEPS`], the first one lowest. It
-    /// decides where an outline goes next, and is computed for all pixels at once beforehand.
+    /// Which neighbours of each pixel are dark: a bit for each of [`STEPS`], the first one lowest.
+    /// It decides where an outline goes next, and is computed for all pixels at once beforehand.
     neighbours: Vec<u8>,
     /// [`FOLLOWED`], [`FOLLOWED_RIGHT`] and [`FIRST`] of each pixel.
     marks: Vec<u8>,
-    exits: Exits,
+    /// The exit from a pixel, by the side that an outline came from and by the pixel's dark
+    /// neighbours.
+    exits: Vec<[Exit; 256]>,
+    /// The length of a row, for which the exits hold.
+    stride: usize,
     outlines: Outlines,
 }
 
@@ -104,23 +108,8 @@ struct Exit {
     mark: u8,
 }
 
-/// The exit from a pixel, by the side that an outline came from and by the pixel's dark neighbours.
-/// Holds for rows of one length.
-#[derive(Debug, Default)]
-struct Exits {
-    stride: usize,
-    by_side: Vec<[Exit; 256]>,
-}
-
-impl Exits {
-    fn new(stride: usize) -> Self {
-        let of_side = |came_from| std::array::from_fn(|bits| exit(came_from, bits as u8, stride));
-        Self { stride, by_side: (0..8).map(of_side).collect() }
-    }
-}
-
-/// The exit to the next dark neighbour, counterclockwise from where the outline came. If there is no
-/// other, it goes back.
+/// The exit to the next dark neighbour, counterclockwise from where the outline came. If there is
+/// no other, it goes back.
 fn exit(came_from: u8, neighbours: u8, stride: usize) -> Exit {
     let first_side = (came_from + 1) % 8;
     let bright = neighbours.rotate_right(first_side.into()).trailing_zeros() as u8;
@@ -137,7 +126,11 @@ fn exit(came_from: u8, neighbours: u8, stride: usize) -> Exit {
 
 impl Follower {
     /// The outlines of dark regions and of holes in them that have so many points, two or more.
-    pub(crate) fn follow(&mut self, dark: &Dark, lengths: RangeInclusive<usize>) -> &Outlines {
+    pub(crate) fn follow(
+        &mut self,
+        dark: &DarkPixels,
+        lengths: RangeInclusive<usize>,
+    ) -> &Outlines {
         self.outlines.points.clear();
         self.outlines.ends.clear();
         self.set_size(dark);
@@ -162,13 +155,15 @@ impl Follower {
         &self.outlines
     }
 
-    /// Prepares memory for images of this size. Everything but the border is written for each image.
-    fn set_size(&mut self, dark: &Dark) {
-        let (stride, count) = (dark.stride(), dark.pixels().len());
-        if (self.exits.stride, self.neighbours.len()) == (stride, count) {
+    /// Prepares memory for images of this size. Everything but the border is written for each
+    /// image.
+    fn set_size(&mut self, dark: &DarkPixels) {
+        let (stride, count) = (dark.stride, dark.pixels.len());
+        if (self.stride, self.neighbours.len()) == (stride, count) {
             return;
         }
-        self.exits = Exits::new(stride);
+        let of_side = |came_from| std::array::from_fn(|bits| exit(came_from, bits as u8, stride));
+        (self.exits, self.stride) = ((0..8).map(of_side).collect(), stride);
         self.neighbours.clear();
         self.neighbours.resize(count, 0);
         self.marks.clear();
@@ -176,14 +171,14 @@ impl Follower {
     }
 
     /// Finds the dark neighbours of all pixels, and where outlines may begin.
-    fn find_all_neighbours(&mut self, dark: &Dark) {
-        let (stride, count) = (dark.stride(), dark.pixels().len());
+    fn find_all_neighbours(&mut self, dark: &DarkPixels) {
+        let (stride, count) = (dark.stride, dark.pixels.len());
         // Each row without its border.
         let rows = (stride..count.saturating_sub(stride)).step_by(stride);
         for row in rows.map(|start| start + 1..start + stride - 1) {
             let pixels = |by: Pixel| {
                 let by = (by.y * stride as i32 + by.x) as isize;
-                &dark.pixels()[row.start.wrapping_add_signed(by)..][..row.len()]
+                &dark.pixels[row.start.wrapping_add_signed(by)..][..row.len()]
             };
             let marks = &mut self.marks[row.clone()];
             let neighbours = &mut self.neighbours[row.clone()];
@@ -193,7 +188,7 @@ impl Follower {
 
     /// Follows the outline that passes between a dark pixel and its bright neighbour on that side.
     fn trace(&mut self, start: usize, bright_side: u8) {
-        let stride = self.exits.stride as i32;
+        let stride = self.stride as i32;
         let mut place = Pixel::new(start as i32 % stride - 1, start as i32 / stride - 1);
         let neighbours = self.neighbours[start];
         // The outline ends at the first dark neighbour, clockwise from the bright side.
@@ -203,9 +198,9 @@ impl Follower {
         let last = start.wrapping_add_signed((step.y * stride + step.x) as isize);
         let (mut here, mut came_from) = (start, last_side);
         let (neighbours, marks) = (&self.neighbours[..], &mut self.marks[..]);
-        let (by_side, points) = (&self.exits.by_side[..], &mut self.outlines.points);
+        let (exits, points) = (&self.exits[..], &mut self.outlines.points);
         loop {
-            let exit = by_side[usize::from(came_from)][usize::from(neighbours[here])];
+            let exit = exits[usize::from(came_from)][usize::from(neighbours[here])];
             marks[here] |= exit.mark;
             points.push(place);
             let next = here.wrapping_add_signed(exit.step as isize);
@@ -218,8 +213,8 @@ impl Follower {
     }
 }
 
-/// Finds the dark neighbours of a row's pixels, and where outlines may begin. `at` holds the row shifted
-/// by each of the eight steps.
+/// Finds the dark neighbours of a row's pixels, and where outlines may begin. `at` holds the row
+/// shifted by each of the eight steps.
 fn find_neighbours(neighbours: &mut [u8], marks: &mut [u8], pixels: &[u8], at: [&[u8]; 8]) {
     // With slices of equal length the compiler handles many pixels at once.
     let [a, b, c, d, e, f, g, h] = at.map(|row| &row[..neighbours.len()]);
@@ -233,9 +228,9 @@ fn find_neighbours(neighbours: &mut [u8], marks: &mut [u8], pixels: &[u8], at: [
     }
 }
 
-/// 1 if a dark pixel with these neighbours may be the first one of an outline, in the order of rows and
-/// columns; 0 if it has none. The first pixel around a region has no dark one before it. The first pixel
-/// around a hole has the hole's first pixel to its right, and a dark one above that.
+/// 1 if a dark pixel with these neighbours may be the first one of an outline, in the order of rows
+/// and columns; 0 if it has none. The first pixel around a region has no dark one before it. The
+/// first pixel around a hole has the hole's first pixel to its right, and a dark one above that.
 fn may_be_first(neighbours: u8) -> u8 {
     const AT_HOLE: u8 = 1 << RIGHT | 1 << ABOVE_RIGHT;
     u8::from(neighbours & BEFORE == 0 && neighbours != 0)
@@ -262,8 +257,8 @@ mod tests {
         outlines.iter().map(|outline| outline.iter().map(pixel).collect()).collect()
     }
 
-    fn bordered(pixels: &[u8], width: usize) -> Dark {
-        let mut dark = Dark::default();
+    fn bordered(pixels: &[u8], width: usize) -> DarkPixels {
+        let mut dark = DarkPixels::default();
         dark.begin(width);
         pixels.chunks_exact(width).for_each(|row| dark.add(row.iter().copied()));
         dark.end();

@@ -1,36 +1,29 @@
-//! What the detector searches for and accepts, with its defaults: the values that the stage flies with.
+//! What the detector searches for and accepts, with its defaults: the values that the stage flies
+//! with.
 
 use flockeye_contract::{Search, ViewKind};
 use flockeye_dictionary::DictionaryError;
-use flockeye_imaging::edges::Effort;
+use flockeye_imaging::edges::CornerFit;
 
 use crate::windows::{DarkerBy, Threshold, thresholds};
 
 /// What is searched for, and what is accepted as a marker.
 ///
-/// The defaults are those of a view at the sphere's own resolution. They were chosen on renderings and
-/// on real panoramas without markers. There some squares pass for a marker by their cells alone; their edges then tell them
-/// from print.
+/// The defaults are those of a view at the sphere's own resolution. They were chosen on renderings
+/// and on real panoramas without markers. There some squares pass for a marker by their cells
+/// alone; their edges then tell them from print.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DetectorParameters {
-    /// Markers with shorter sides are not searched for, pixels. At 11 px a cell of a marker with 5 x 5
-    /// bits is hardly wider than the lens's blur.
+    /// Markers with shorter sides are not searched for, pixels. At 11 px a cell of a marker with 5
+    /// x 5 bits is hardly wider than the lens's blur.
     pub min_side_px: f64,
     /// The local thresholds. Each one finds squares that the others lose, for example where the
     /// shaded side of a marker joins something dark; each costs another pass over the view.
     pub thresholds: Vec<Threshold>,
-    /// How far an outline may deviate from a quadrilateral, as a share of its length. Decides how
-    /// rounded the corners of small markers may be.
-    pub polygon_accuracy: f64,
     /// How far an outline may deviate from a polygon that has three of a square's corners, pixels.
     pub corner_accuracy_px: f64,
-    /// Least log-likelihood ratio of the marker to the next likely one, and to what is no marker.
-    pub min_log_likelihood_ratio: f32,
-    /// Least step from the border out to the quiet zone, on each side, as a share of that from black print to
-    /// white paper.
-    pub min_quiet_zone: f32,
     /// What is fitted to find a marker's corners.
-    pub effort: Effort,
+    pub effort: CornerFit,
 }
 
 impl Default for DetectorParameters {
@@ -38,55 +31,33 @@ impl Default for DetectorParameters {
         Self {
             min_side_px: 11.0,
             thresholds: thresholds(ViewKind::Partition, Search::AllWindows, 1.0).collect(),
-            polygon_accuracy: 0.05,
             corner_accuracy_px: 2.0,
-            min_log_likelihood_ratio: 10.0,
-            min_quiet_zone: 0.2,
-            effort: Effort::default(),
+            effort: CornerFit::default(),
         }
     }
 }
 
 /// Why a detector could not be made, or not be given other thresholds.
 #[derive(Debug, thiserror::Error)]
+#[expect(missing_docs, reason = "the messages say what the fields are")]
 pub enum DetectError {
     /// The dictionary could not be loaded.
     #[error(transparent)]
     Dictionary(#[from] DictionaryError),
     /// A parameter outside its range.
     #[error("{name} is {value}; it must be {allowed}")]
-    Parameter {
-        /// The parameter.
-        name: &'static str,
-        /// What it was.
-        value: f64,
-        /// What it may be.
-        allowed: &'static str,
-    },
+    Parameter { name: &'static str, value: f64, allowed: &'static str },
 }
 
 impl DetectorParameters {
-    /// Refuses parameters outside their ranges.
     pub(crate) fn check(&self) -> Result<(), DetectError> {
         check_thresholds(self.thresholds.iter().copied())?;
         let rules = [
             ("min_side_px", self.min_side_px, self.min_side_px >= 8.0, "8 or more"),
             (
-                "polygon_accuracy",
-                self.polygon_accuracy,
-                self.polygon_accuracy > 0.0 && self.polygon_accuracy < 0.2,
-                "between 0 and 0.2",
-            ),
-            (
                 "corner_accuracy_px",
                 self.corner_accuracy_px,
                 self.corner_accuracy_px > 0.0,
-                "above 0",
-            ),
-            (
-                "min_log_likelihood_ratio",
-                f64::from(self.min_log_likelihood_ratio),
-                self.min_log_likelihood_ratio > 0.0,
                 "above 0",
             ),
         ];

@@ -3,14 +3,14 @@
 use flockeye_geometry::Ray;
 use flockeye_geometry::body::{Bodies, Body, Marker};
 
-use crate::detector::Found;
+use crate::detector::MarkerInView;
 
-/// Largest relative error of a marker's range by its longest side. It covers noise, and what the tilt of a
-/// near marker adds.
+/// Largest relative error of a marker's range by its longest side. It covers noise, and what the
+/// tilt of a near marker adds.
 const RANGE_ERROR: f64 = 0.3;
 
-/// Two markers are never visible together if the cosine between their normals is below this: they face
-/// away from each other by more than 143 degrees.
+/// Two markers are never visible together if the cosine between their normals is below this: they
+/// face away from each other by more than 143 degrees.
 const MIN_NORMAL_COSINE: f64 = -0.8;
 
 /// How far a marker's centre may be off its place on the body, in sides of the marker.
@@ -18,12 +18,12 @@ const CENTRE_SLACK: f64 = 0.5;
 
 /// Leaves out markers that contradict others of the same body.
 ///
-/// Two markers contradict each other if they face away from each other, or if their apparent sizes put
-/// them farther apart than they are on the body. Of the contradicting markers the one with most
-/// contradictions goes first, then the one with the lowest correlation. Doubtful markers count against
-/// doubtful ones only: in a hall full of windows several would contradict a decoded marker. Markers
-/// that no configured body carries stay.
-pub fn keep_plausible(mut found: Vec<Found>, bodies: &Bodies) -> Vec<Found> {
+/// Two markers contradict each other if they face away from each other, or if their apparent sizes
+/// put them farther apart than they are on the body. Of the contradicting markers the one with most
+/// contradictions goes first, then the one with the lowest correlation. Doubtful markers count
+/// against doubtful ones only: in a hall full of windows several would contradict a decoded marker.
+/// Markers that no configured body carries stay.
+pub fn keep_plausible(mut found: Vec<MarkerInView>, bodies: &Bodies) -> Vec<MarkerInView> {
     loop {
         let contradicted: Vec<usize> = (0..found.len())
             .map(|k| {
@@ -44,7 +44,7 @@ pub fn keep_plausible(mut found: Vec<Found>, bodies: &Bodies) -> Vec<Found> {
 }
 
 /// Whether two markers belong to one body that cannot show both where they are.
-fn contradict(a: &Found, b: &Found, bodies: &Bodies) -> bool {
+fn contradict(a: &MarkerInView, b: &MarkerInView, bodies: &Bodies) -> bool {
     let owner = bodies.owner(a.id);
     if a.id == b.id || owner.is_none() || owner != bodies.owner(b.id) {
         return false;
@@ -67,13 +67,13 @@ fn contradict(a: &Found, b: &Found, bodies: &Bodies) -> bool {
 }
 
 /// The range of a marker, metres, by its longest side: the one that a tilt shortens least.
-fn range(found: &Found, marker: &Marker) -> f64 {
+fn range(found: &MarkerInView, marker: &Marker) -> f64 {
     let rays = &found.rays_in_camera;
     let longest = (0..4).map(|k| rays[k].angle(&rays[(k + 1) % 4])).fold(0.0, f64::max);
     marker.side() / longest.max(1e-6)
 }
 
-fn central_ray(found: &Found) -> Ray {
+fn central_ray(found: &MarkerInView) -> Ray {
     let sum = found.rays_in_camera.iter().map(|ray| ray.into_inner()).sum();
     Ray::new_normalize(sum)
 }
@@ -92,8 +92,8 @@ mod tests {
         Bodies::new("DICT_5X5_250".into(), list).unwrap()
     }
 
-    fn seen(marker: &Marker, pose: &Isometry3<f64>, correlation: f32) -> Found {
-        Found {
+    fn seen(marker: &Marker, pose: &Isometry3<f64>, correlation: f32) -> MarkerInView {
+        MarkerInView {
             id: marker.id,
             corners_in_view: [ViewPixel::new(0.0, 0.0); 4],
             rays_in_camera: marker.corners.map(|corner| Ray::new_normalize((pose * corner).coords)),
@@ -104,7 +104,7 @@ mod tests {
         }
     }
 
-    fn visible(body: &Body, pose: &Isometry3<f64>) -> Vec<Found> {
+    fn visible(body: &Body, pose: &Isometry3<f64>) -> Vec<MarkerInView> {
         let faces = |marker: &&Marker| {
             let towards = pose.inverse_transform_point(&Point3::origin()) - marker.centre();
             marker.normal().dot(&towards.normalize()) > 0.15
@@ -141,8 +141,8 @@ mod tests {
         let mut found = visible(alpha, &pose);
         let count = found.len();
         assert!(count >= 3);
-        // One marker seen from behind, with a lower correlation, and one at a much shorter range. Another
-        // body's marker and one of no body are no contradiction.
+        // One marker seen from behind, with a lower correlation, and one at a much shorter range.
+        // Another body's marker and one of no body are no contradiction.
         let facing = &alpha.markers[usize::try_from(found[0].id).unwrap()];
         let ahead = pose.translation.vector;
         let away = |marker: &&Marker| marker.normal().dot(&ahead);
@@ -152,11 +152,12 @@ mod tests {
         wrong.push(seen(facing, &Isometry3::translation(0.3, 0.06, 0.03), 0.99));
         let unrelated = [
             seen(&bodies.get(1).unwrap().markers[7], &Isometry3::translation(0.0, 2.0, 0.0), 0.9),
-            Found { id: 99, ..seen(facing, &pose, 0.9) },
+            MarkerInView { id: 99, ..seen(facing, &pose, 0.9) },
         ];
-        let all: Vec<Found> = found.iter().chain(&wrong).chain(&unrelated).cloned().collect();
+        let all: Vec<MarkerInView> =
+            found.iter().chain(&wrong).chain(&unrelated).cloned().collect();
         let kept = keep_plausible(all, &bodies);
-        let expected: Vec<Found> = found.iter().chain(&unrelated).cloned().collect();
+        let expected: Vec<MarkerInView> = found.iter().chain(&unrelated).cloned().collect();
         assert_eq!(kept, expected);
     }
 
@@ -168,11 +169,11 @@ mod tests {
         let read = visible(alpha, &pose)[0].clone();
         let others = alpha.markers.iter().filter(|marker| marker.id != read.id);
         // At other places of the view and other ranges.
-        let doubtful: Vec<Found> = (0..4)
+        let doubtful: Vec<MarkerInView> = (0..4)
             .zip(others)
             .map(|(k, marker)| {
                 let elsewhere = Isometry3::translation(0.4, 0.3 * f64::from(k) - 0.5, 0.2);
-                Found { is_doubtful: true, ..seen(marker, &elsewhere, 0.99) }
+                MarkerInView { is_doubtful: true, ..seen(marker, &elsewhere, 0.99) }
             })
             .collect();
         let all = doubtful.iter().chain([&read]).cloned().collect();

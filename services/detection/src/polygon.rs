@@ -5,17 +5,17 @@ use std::ops::Range;
 
 use crate::outlines::Pixel;
 
-/// Points whose largest distance is computed at once, before the point is searched among them. Decides
-/// speed only.
+/// Points whose largest distance is computed at once, before the point is searched among them.
+/// Decides speed only.
 const GROUP: usize = 64;
 
 /// Approximates closed outlines; reuses its memory for the next one.
 #[derive(Debug, Default)]
 pub(crate) struct Approximator {
     /// The closed outline, beginning and ending with one of its corners.
-    points: Points,
-    /// Indices of corners. The first corner is there twice, at the beginning and at the end, but for
-    /// outlines of less than two points.
+    points: OutlinePoints,
+    /// Indices of corners. The first corner is there twice, at the beginning and at the end, but
+    /// for outlines of less than two points.
     corners: Vec<usize>,
     /// Ends of stretches that are still to be divided, the next one last.
     ends: Vec<usize>,
@@ -28,8 +28,9 @@ impl Approximator {
         self.points.clear();
         self.corners.clear();
         let Some(&first) = outline.first() else { return };
-        // To begin with, two points that are far from each other are taken for corners. What is farthest from any point
-        // may lie beside a corner by some pixels, so what is farthest from that is the first.
+        // To begin with, two points that are far from each other are taken for corners. What is
+        // farthest from any point may lie beside a corner by some pixels, so what is farthest from
+        // that is the first.
         self.points.extend(outline);
         let beside = self.points.farthest_from(first);
         let start = self.points.farthest_from(outline[beside]);
@@ -45,11 +46,12 @@ impl Approximator {
         }
     }
 
-    /// The corners of a polygon, in the outline's order; at least one, if the outline has any point.
+    /// The corners of a polygon, in the outline's order; at least one, if the outline has any
+    /// point.
     ///
     /// No point of the outline is farther from the polygon than `accuracy_px`, or twice that where
-    /// [`Self::drop_straight`] left out a corner. A second call refines the first call's corners, so
-    /// `accuracy_px` must not be larger then.
+    /// [`Self::drop_straight`] left out a corner. A second call refines the first call's corners,
+    /// so `accuracy_px` must not be larger then.
     pub(crate) fn approximate(&mut self, accuracy_px: f64) -> &[Pixel] {
         let limit = accuracy_px * accuracy_px;
         self.divide(limit);
@@ -76,8 +78,8 @@ impl Approximator {
         }
     }
 
-    /// Leaves out corners that lie on the line between their neighbours, but no two adjacent ones. The two
-    /// points that the division began with need not be corners.
+    /// Leaves out corners that lie on the line between their neighbours, but no two adjacent ones.
+    /// The two points that the division began with need not be corners.
     fn drop_straight(&mut self, limit: f64) {
         let mut at = 0;
         while self.polygon.len() > 2 && at < self.polygon.len() {
@@ -98,12 +100,12 @@ impl Approximator {
 
 /// Points, with all columns in one array and all rows in another.
 #[derive(Debug, Default)]
-struct Points {
+struct OutlinePoints {
     columns: Vec<i32>,
     rows: Vec<i32>,
 }
 
-impl Points {
+impl OutlinePoints {
     fn clear(&mut self) {
         self.columns.clear();
         self.rows.clear();
@@ -128,8 +130,8 @@ impl Points {
         self.farthest(0..self.len(), distance, |distance| distance > 0).unwrap_or(0)
     }
 
-    /// Index of the point between two others that is farthest from their line, if its distance exceeds
-    /// the root of `limit`.
+    /// Index of the point between two others that is farthest from their line, if its distance
+    /// exceeds the root of `limit`.
     fn off_line(&self, from: usize, to: usize, limit: f64) -> Option<usize> {
         let start = self.at(from);
         let along = self.at(to) - start;
@@ -168,7 +170,8 @@ impl Points {
     }
 }
 
-/// The squared length. Views are at most 4,096 pixels wide, so products of coordinates fit an `i32`.
+/// The squared length. Views are at most 4,096 pixels wide, so products of coordinates fit an
+/// `i32`.
 fn squared(a: Pixel) -> i32 {
     a.dot(&a)
 }

@@ -6,7 +6,6 @@ use nalgebra::Vector2;
 /// A convex quadrilateral that is dark inside, clockwise from any of its corners.
 pub type Quad = [ViewPixel; 4];
 
-/// The mean of the corners.
 pub(crate) fn centre(corners: &Quad) -> Vector2<f64> {
     corners.iter().map(|corner| corner.0).sum::<Vector2<f64>>() / 4.0
 }

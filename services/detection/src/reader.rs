@@ -8,24 +8,25 @@ use crate::drawn::{
 };
 use crate::reading::Reading;
 
-/// Standard deviations of the blurs that markers are compared at, in cells: a sharp marker, one with a
-/// side of 20 px, and one of 12 px, all with a lens's blur of about a pixel.
+/// Standard deviations of the blurs that markers are compared at, in cells: a sharp marker, one
+/// with a side of 20 px, and one of 12 px, all with a lens's blur of about a pixel.
 const BLURS_CELLS: [f64; 3] = [0.15, 0.4, 0.65];
 
 /// The blurs that steps are compared at.
 const STEP_BLURS_CELLS: [f64; 2] = [0.15, WIDEST_STEP_BLUR_CELLS];
 
-/// Least contrast of a reading that is compared: the norm of its cells' deviations from their mean, where
-/// white paper has a radiance of up to 1. Below, there is nothing but rounding.
+/// Least contrast of a reading that is compared: the norm of its cells' deviations from their mean,
+/// where white paper has a radiance of up to 1. Below, there is nothing but rounding.
 const MIN_CONTRAST: f32 = 1e-4;
 
-/// Least share of the sum of squares that a marker is taken to leave unexplained. It bounds the likelihood
-/// ratio of a perfect reading.
+/// Least share of the sum of squares that a marker is taken to leave unexplained. It bounds the
+/// likelihood ratio of a perfect reading.
 const MIN_RESIDUAL: f32 = 1e-4;
 
-/// What is no marker correlates as much with the best of many: squares of textures by 0.64 to 0.69 in the median, of real
-/// panoramas by 0.72 to 0.76. With this as the alternative, of 11,216 squares of textures 24 have a ratio of 10 or more, and of
-/// 1,019 of panoramas 8, all in the oldest dictionary but 6.
+/// What is no marker correlates as much with the best of many: squares of textures by 0.64 to 0.69
+/// in the median, of real panoramas by 0.72 to 0.76. With this as the alternative, of 11,216
+/// squares of textures 24 have a ratio of 10 or more, and of 1,019 of panoramas 8, all in the
+/// oldest dictionary but 6.
 const NO_MARKER_CORRELATION: f32 = 0.65;
 
 /// What a square reads as.
@@ -42,7 +43,8 @@ pub(crate) struct Decoded {
 }
 
 impl Decoded {
-    /// Logarithm of the likelihood ratio of this marker to the next likely one, or to what is no marker: the lesser.
+    /// Logarithm of the likelihood ratio of this marker to the next likely one, or to what is no
+    /// marker: the lesser.
     pub(crate) fn log_likelihood_ratio(&self) -> f32 {
         log_likelihood_ratio(self.cells, self.correlation, self.runner_up)
     }
@@ -81,7 +83,7 @@ impl Explained {
 const LANES: usize = 16;
 
 /// Compares readings with the blurred markers of a dictionary.
-pub(crate) struct Reader {
+pub(crate) struct MarkerReader {
     bits: usize,
     count: usize,
     /// For each blur, the inner cells of all markers, with mean 0 and norm 1.
@@ -90,8 +92,8 @@ pub(crate) struct Reader {
     steps: [Lanes; STEP_BLURS_CELLS.len()],
 }
 
-/// A vector for each marker. For each [`LANES`] markers come the first elements of all, then the second elements, and so
-/// on; the last lanes are zeros.
+/// A vector for each marker. For each [`LANES`] markers come the first elements of all, then the
+/// second elements, and so on; the last lanes are zeros.
 struct Lanes {
     /// Elements of a vector.
     length: usize,
@@ -127,7 +129,7 @@ impl Lanes {
     }
 }
 
-impl Reader {
+impl MarkerReader {
     pub(crate) fn new(dictionary: &Dictionary) -> Self {
         let (bits, count) = (dictionary.bits(), dictionary.marker_count());
         let cells = BLURS_CELLS.map(|blur| {
@@ -139,8 +141,8 @@ impl Reader {
         Self { bits, count, cells, steps }
     }
 
-    /// By how much white cells are brighter than black ones if a reading shows this marker, as a share of what the quiet
-    /// zone is brighter than the border.
+    /// By how much white cells are brighter than black ones if a reading shows this marker, as a
+    /// share of what the quiet zone is brighter than the border.
     pub(crate) fn cell_contrast(&self, reading: &Reading, print: &MarkerPrint) -> f32 {
         let mean = reading.cells.iter().sum::<f32>() / reading.cells.len() as f32;
         // The slope of the reading over the blurred print, at the blur that explains most of it.
@@ -158,8 +160,8 @@ impl Reader {
 
     /// How well a marker explains a reading that begins at its printed top left.
     ///
-    /// Unlike [`Self::compare`] it also looks within the cells: print changes at their edges alone. Squares of another size
-    /// read as a marker where cells are grey, half white and half black.
+    /// Unlike [`Self::compare`] it also looks within the cells: print changes at their edges alone.
+    /// Squares of another size read as a marker where cells are grey, half white and half black.
     pub(crate) fn explain(&self, reading: &Reading, print: &MarkerPrint) -> Explained {
         let mut cells = reading.cells.clone();
         normalise_about_mean(&mut cells);
@@ -208,7 +210,8 @@ impl Reader {
 pub(crate) struct Correlations {
     cells: usize,
     count: usize,
-    /// For each rotation of the square, the correlation with each marker in the better model of the light, at the best blur.
+    /// For each rotation of the square, the correlation with each marker in the better model of the
+    /// light, at the best blur.
     by_rotation: [Vec<[f32; LANES]>; 4],
 }
 
@@ -218,8 +221,8 @@ impl Correlations {
         self.best_among(0..self.count as u32)
     }
 
-    /// The one with the largest correlation among these ids, which are of the dictionary. The likelihood
-    /// ratio is that to the next of them.
+    /// The one with the largest correlation among these ids, which are of the dictionary. The
+    /// likelihood ratio is that to the next of them.
     pub(crate) fn best_among(&self, ids: impl Iterator<Item = u32> + Clone) -> Option<Decoded> {
         let mut best: Option<Decoded> = None;
         let mut runner_up = NO_MARKER_CORRELATION;
@@ -250,9 +253,9 @@ impl Correlations {
 
 /// Logarithm of the likelihood ratio of two fits to the same cells, by their correlations.
 ///
-/// With Gaussian residuals of unknown variance, the log-likelihood is -n/2 ln(1 - r^2): a fit with correlation r leaves
-/// the share 1 - r^2 of the sum of squares. There are more steps than cells, but they follow from the cells: n is the
-/// number of cells.
+/// With Gaussian residuals of unknown variance, the log-likelihood is -n/2 ln(1 - r^2): a fit with
+/// correlation r leaves the share 1 - r^2 of the sum of squares. There are more steps than cells,
+/// but they follow from the cells: n is the number of cells.
 fn log_likelihood_ratio(cells: usize, likelier: f32, other: f32) -> f32 {
     let residual = |correlation: f32| (1.0 - correlation * correlation).max(MIN_RESIDUAL);
     0.5 * cells as f32 * (residual(other) / residual(likelier)).ln()
@@ -290,8 +293,8 @@ mod tests {
     use crate::drawn::{BLACK_SHARE, inner_cells};
     use crate::reading::Steps;
 
-    /// What is read where all cells, border included, have these shares of white, in the light of each, and where the steps
-    /// within them are those of `within`.
+    /// What is read where all cells, border included, have these shares of white, in the light of
+    /// each, and where the steps within them are those of `within`.
     fn lit(white: &[f32], bits: usize, within: Vec<f32>, light: impl Fn(usize) -> f32) -> Reading {
         let lit = |(k, white): (usize, &f32)| light(k) * (white + BLACK_SHARE);
         let logs = white.iter().enumerate().map(lit).map(f32::ln).collect();
@@ -332,7 +335,7 @@ mod tests {
         for name in ["DICT_5X5_250", "DICT_4X4_50"] {
             let dictionary = Dictionary::load(name).unwrap();
             let (bits, last) = (dictionary.bits(), dictionary.marker_count() as u32 - 1);
-            let reader = Reader::new(&dictionary);
+            let reader = MarkerReader::new(&dictionary);
             // The last marker, rotated once, with a small error in each cell.
             let mut cells = Drawn::new(dictionary.print(last).unwrap(), bits, 0.3).all_cells();
             (0..3).for_each(|_| cells = rotate(&cells, bits + 2));
@@ -354,13 +357,13 @@ mod tests {
             assert!(correlations.best_among(std::iter::empty()).is_none());
         }
         let dictionary = Dictionary::load("DICT_5X5_250").unwrap();
-        assert!(Reader::new(&dictionary).compare(&reading(&[0.5; 49], 5)).is_none());
+        assert!(MarkerReader::new(&dictionary).compare(&reading(&[0.5; 49], 5)).is_none());
     }
 
     #[test]
     fn the_edge_of_a_shadow_changes_a_reading_little() {
         let dictionary = Dictionary::load("DICT_6X6_250").unwrap();
-        let (bits, reader) = (dictionary.bits(), Reader::new(&dictionary));
+        let (bits, reader) = (dictionary.bits(), MarkerReader::new(&dictionary));
         for (id, print) in dictionary.prints().iter().enumerate() {
             let white = Drawn::new(print, bits, 0.2).all_cells();
             // Right of the diagonal there is an eighth of the light.
@@ -375,7 +378,7 @@ mod tests {
     #[test]
     fn the_likelier_model_of_the_light_counts() {
         let dictionary = Dictionary::load("DICT_6X6_250").unwrap();
-        let (bits, reader) = (dictionary.bits(), Reader::new(&dictionary));
+        let (bits, reader) = (dictionary.bits(), MarkerReader::new(&dictionary));
         let print = dictionary.print(7).unwrap();
         let drawn = Drawn::new(print, bits, 0.2);
         let lit_by = |light: &dyn Fn(usize) -> f32| {
@@ -391,7 +394,7 @@ mod tests {
     #[test]
     fn grey_cells_explain_less_than_cells_of_one_colour() {
         let dictionary = Dictionary::load("DICT_4X4_250").unwrap();
-        let (bits, reader) = (dictionary.bits(), Reader::new(&dictionary));
+        let (bits, reader) = (dictionary.bits(), MarkerReader::new(&dictionary));
         let print = dictionary.print(3).unwrap();
         let white = Drawn::new(print, bits, 0.15).all_cells();
         let alike = reader.explain(&reading(&white, bits), print).uneven;

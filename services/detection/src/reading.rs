@@ -1,15 +1,16 @@
 //! Reading what is printed in a square.
 //!
-//! What a square shows is compared with the dictionary's markers *after blurring them*. In a small marker a white
-//! cell among black ones never becomes white, and a threshold would read it as black. The measure is the
-//! normalized correlation, in two models of the light, of which the one counts that explains more:
+//! What a square shows is compared with the dictionary's markers *after blurring them*. In a small
+//! marker a white cell among black ones never becomes white, and a threshold would read it as
+//! black. The measure is the normalized correlation, in two models of the light, of which the one
+//! counts that explains more:
 //!
-//! - **Even light**: the radiance of the inner cells. It is best where cells are hardly wider than the blur, or where
-//!   white saturates.
-//! - **Light from place to place**: white in the shade may be darker than black in the sun, so a cell by itself says
-//!   little. But light changes little from a cell to its neighbour, while print changes much. So what is compared are
-//!   the *steps* between neighbouring cells, differences of the logarithm of their radiance. Where the edge of a
-//!   shadow crosses the marker, only the steps across that edge are wrong.
+//! - **Even light**: the radiance of the inner cells. It is best where cells are hardly wider than
+//!   the blur, or where white saturates.
+//! - **Light from place to place**: white in the shade may be darker than black in the sun. But light
+//!   changes little from a cell to its neighbour, while print changes much. So the *steps* between
+//!   neighbouring cells are compared, differences of the logarithm of their radiance. Where the edge
+//!   of a shadow crosses the marker, only the steps across that edge are wrong.
 
 use flockeye_geometry::view::ViewPixel;
 use flockeye_imaging::image::LumaImage;
@@ -18,19 +19,22 @@ use flockeye_imaging::square::{SquareInView, mean_side_px};
 
 use crate::drawn::{BLACK_SHARE, SAMPLE_CELLS, WIDEST_STEP_BLUR_CELLS, largest_step};
 
-/// Where the quiet zone is sampled, cells outside the square's edge: near the middle of its first cell in small markers.
+/// Where the quiet zone is sampled, cells outside the square's edge: near the middle of its first
+/// cell in small markers.
 const QUIET_CELLS: f64 = 0.45;
 
-/// In large markers it is sampled so many pixels outside the edge, beyond the lens's blur, but no nearer than
-/// [`MIN_QUIET_CELLS`]. Printed margins are often narrower than half a cell.
+/// In large markers it is sampled so many pixels outside the edge, beyond the lens's blur, but no
+/// nearer than [`MIN_QUIET_CELLS`]. Printed margins are often narrower than half a cell.
 const QUIET_PX: f64 = 1.5;
 const MIN_QUIET_CELLS: f64 = 0.2;
 
-/// A lens's blur, pixels of the sphere. Steps are compared where it is no wider than the widest blur that they are drawn
-/// with. The logarithm of a narrower cell depends more on the blur than on the print.
+/// A lens's blur, pixels of the sphere. Steps are compared where it is no wider than the widest
+/// blur that they are drawn with. The logarithm of a narrower cell depends more on the blur than on
+/// the print.
 const LENS_BLUR_PX: f64 = 1.0;
 
-/// Least light of a cell, as a share of the quiet zone's, after glare was taken off both. It bounds the logarithm.
+/// Least light of a cell, as a share of the quiet zone's, after glare was taken off both. It bounds
+/// the logarithm.
 const MIN_LIGHT_SHARE: f32 = 0.02;
 
 /// The light of a square's cells.
@@ -39,8 +43,8 @@ pub(crate) struct Reading {
     pub(crate) cells: Vec<f32>,
     /// The light from place to place, where cells are wide enough for it.
     pub(crate) steps: Option<Steps>,
-    /// Mean step from the border out to the quiet zone, as a share of that from black print to white paper: the
-    /// least of the four sides.
+    /// Mean step from the border out to the quiet zone, as a share of that from black print to
+    /// white paper: the least of the four sides.
     pub(crate) quiet_zone: f32,
     /// By how much the quiet zone is brighter than the border, mean of the four sides.
     pub(crate) edge_contrast: f32,
@@ -48,16 +52,18 @@ pub(crate) struct Reading {
 
 /// What the steps of a square follow from.
 pub(crate) struct Steps {
-    /// Logarithm of the light of all cells, border included, row by row from the square's first corner.
+    /// Logarithm of the light of all cells, border included, row by row from the square's first
+    /// corner.
     pub(crate) logs: Vec<f32>,
-    /// Steps within the inner cells, in the same order: from the left half to the right one, and from the upper half to the
-    /// lower one.
+    /// Steps within the inner cells, in the same order: from the left half to the right one, and
+    /// from the upper half to the lower one.
     pub(crate) within: Vec<f32>,
 }
 
 impl Reading {
-    /// Reads the square with these corners, in a view with `magnification` pixels for each of the sphere's. `None` if it or
-    /// its quiet zone is not wholly inside the image, or if the quiet zone is darker than the border on some side.
+    /// Reads the square with these corners, in a view with `magnification` pixels for each of the
+    /// sphere's. `None` if it or its quiet zone is not wholly inside the image, or if the quiet
+    /// zone is darker than the border on some side.
     pub(crate) fn new(
         image: &LumaImage<'_>,
         light: &LinearLight,
@@ -107,7 +113,8 @@ impl Reading {
         }
         let quiet = means.iter().map(|side| side.0).sum::<f32>() / 4.0;
         let border = means.iter().map(|side| side.1).sum::<f32>() / 4.0;
-        // With this offset the border is as dark beside the quiet zone as black print beside white paper.
+        // With this offset the border is as dark beside the quiet zone as black print beside white
+        // paper.
         let white_over_black = (1.0 + BLACK_SHARE) / BLACK_SHARE;
         let offset = (quiet - white_over_black * border) / (white_over_black - 1.0);
         let log = |radiance: f32| (radiance + offset).max(MIN_LIGHT_SHARE * (quiet + offset)).ln();
@@ -137,7 +144,8 @@ impl Reading {
 /// The radiance of the quiet zone and of the border beside it, along one side.
 type Side = Vec<(f32, f32)>;
 
-/// The radiance of all cells, of which `sides` has the border's. No step goes to the border's corners: they have `corner`.
+/// The radiance of all cells, of which `sides` has the border's. No step goes to the border's
+/// corners: they have `corner`.
 fn all_cells(
     cells: &[f32],
     [top, right, bottom, left]: &[Side; 4],

@@ -8,7 +8,7 @@ use flockeye_runtime::logs::Throttle;
 use flockeye_runtime::ports::{Message, Ports, Publisher, Subscriber};
 use flockeye_runtime::{Context, Stage, Step, clock};
 
-use crate::core::{Core, Record};
+use crate::core::Core;
 
 /// Takes the views of its lane; gives a detection record for each, also for an empty one.
 pub struct DetectionStage {
@@ -49,16 +49,16 @@ impl Stage for DetectionStage {
 impl DetectionStage {
     fn answer(&mut self, message: &Message<Views>) -> anyhow::Result<()> {
         let received_ns = clock::monotonic_ns();
-        let Some(record) = self.core.on_view(&message.header, message.items()) else {
+        let Some((header, markers)) = self.core.on_view(&message.header, message.items()) else {
             return Ok(());
         };
-        let Record { header, markers, failure } = record;
-        if let Some(error) = failure {
+        let markers = markers.unwrap_or_else(|error| {
             self.counters.add_failed(1);
             if let Some(more) = self.failures.admit() {
                 tracing::warn!(more_since = more, "a view cannot be searched: {error:#}");
             }
-        }
+            Vec::new()
+        });
         let sent_ns = clock::monotonic_ns();
         self.counters.add_latency_ns(sent_ns - received_ns);
         let header = DetectionHeader { received_ns, sent_ns, ..header };

@@ -5,8 +5,9 @@ use flockeye_contract::{Search, ViewKind};
 /// A pixel is dark if it is darker than its surroundings.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Threshold {
-    /// Side of the square of surroundings whose mean counts, pixels; odd. From 15 px on the square is
-    /// made of blocks: it is up to a tenth smaller, and up to a fourteenth of its side off centre.
+    /// Side of the square of surroundings whose mean counts, pixels; odd. From 15 px on the square
+    /// is made of blocks: it is up to a tenth smaller, and up to a fourteenth of its side off
+    /// centre.
     pub window_px: usize,
     /// By how much the pixel must be darker than the mean.
     pub darker_by: DarkerBy,
@@ -17,8 +18,8 @@ pub struct Threshold {
 pub enum DarkerBy {
     /// By so many code values; 1 or more.
     Codes(u8),
-    /// By this share of the mean, percent; 1 to 99. What is white in the shade is darker than what is white in the sun,
-    /// but not as much as print.
+    /// By this share of the mean, percent; 1 to 99. What is white in the shade is darker than what
+    /// is white in the sun, but not as much as print.
     Percent(u8),
 }
 
@@ -44,23 +45,24 @@ impl DarkerBy {
     }
 }
 
-/// By so many code values a pixel must be darker at least, by whatever share: in the dark noise is a large share.
+/// By so many code values a pixel must be darker at least, by whatever share: in the dark noise is
+/// a large share.
 const MIN_DARKER_CODES: u16 = 4;
 
 /// Least step across the side of a square that was found by a share of the mean, code values.
 const LEAST_STEP_CODES: u8 = 10;
 
-/// A window, in pixels of the sphere's own resolution, and by how much a marker's pixel is darker than
-/// the window's mean.
+/// A window, in pixels of the sphere's own resolution, and by how much a marker's pixel is darker
+/// than the window's mean.
 type Window = (f64, DarkerBy);
 
 /// Windows for tiles, finest first.
 ///
-/// The fine one finds markers in the shade and beside dark things, the coarse one bright markers. On
-/// drawn markers of 14 to 30 px, in a hall and in a panorama, these two found most for their time: see
-/// docs/results/constants.md#threshold-windows. The two between them are taken where time does not matter. The
-/// narrower one finds markers in pictures that are far too dark, where white is only some code values brighter than black;
-/// the other one those that shadows cross.
+/// The fine one finds markers in the shade and beside dark things, the coarse one bright markers.
+/// On drawn markers of 14 to 30 px, in a hall and in a panorama, these two found most for their
+/// time: see docs/results/constants.md#threshold-windows. The two between them are taken where time
+/// does not matter. The narrower one finds markers in pictures that are far too dark, where white
+/// is only some code values brighter than black; the other one those that shadows cross.
 const TILE_WINDOWS: &[Window] = &[
     (7.0, DarkerBy::Codes(4)),
     (15.0, DarkerBy::Codes(4)),
@@ -68,8 +70,8 @@ const TILE_WINDOWS: &[Window] = &[
     (31.0, DarkerBy::Codes(10)),
 ];
 
-/// Windows for regions of interest, finest first. These views are small, and a neighbour is expected
-/// in them, so more passes are worth their time.
+/// Windows for regions of interest, finest first. These views are small, and a neighbour is
+/// expected in them, so more passes are worth their time.
 const REGION_WINDOWS: &[Window] = &[
     (5.5, DarkerBy::Codes(4)),
     (7.5, DarkerBy::Codes(4)),
@@ -81,10 +83,11 @@ const REGION_WINDOWS: &[Window] = &[
 /// The widest window to each side of its middle, pixels of the view.
 const MAX_REACH_PX: f64 = 500.0;
 
-/// The thresholds for a view of this kind, cut with `magnification` pixels for each of the sphere's.
+/// The thresholds for a view of this kind, cut with `magnification` pixels for each of the
+/// sphere's.
 ///
-/// Lens blur has a fixed size on the sphere, so what separates a marker from its surroundings has one
-/// too: windows grow with the magnification.
+/// Lens blur has a fixed size on the sphere, so what separates a marker from its surroundings has
+/// one too: windows grow with the magnification.
 pub fn thresholds(
     kind: ViewKind,
     search: Search,

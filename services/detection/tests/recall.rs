@@ -7,7 +7,7 @@
 mod drawn;
 
 use drawn::{Dice, Glove, Scene, Stripes, encode};
-use flockeye_detection::{Detector, DetectorParameters, Found};
+use flockeye_detection::{Detector, DetectorParameters, MarkerInView};
 use flockeye_geometry::view::View;
 use flockeye_imaging::image::LumaImage;
 use flockeye_imaging::light::{CodeRange, LinearLight, TransferCurve};
@@ -41,7 +41,7 @@ impl Recall {
         (scene, id)
     }
 
-    fn find(&mut self, scene: &Scene) -> Vec<Found> {
+    fn find(&mut self, scene: &Scene) -> Vec<MarkerInView> {
         let rendered: Vec<f64> = scene.render().iter().map(|light| light * self.gain).collect();
         let pixels = encode(&rendered, TransferCurve::Srgb, 0.01, &mut self.dice);
         let image = LumaImage::new(&pixels, scene.size, scene.size, scene.size).unwrap();
@@ -49,7 +49,8 @@ impl Recall {
         self.detector.detect(&image, &view, &self.light)
     }
 
-    /// Draws 40 markers. Returns how many are found, and how many are found only as doubtful, percent.
+    /// Draws 40 markers. Returns how many are found, and how many are found only as doubtful,
+    /// percent.
     fn measure(
         &mut self,
         side: f64,
@@ -63,7 +64,7 @@ impl Recall {
             let (mut scene, id) = self.scene(side, tilt_deg, blur);
             change(&mut scene, &mut self.dice);
             let markers = self.find(&scene);
-            let is_right = |marker: &&Found| {
+            let is_right = |marker: &&MarkerInView| {
                 marker.id == id
                     && (0..4).all(|k| {
                         let error = marker.corners_in_view[k].0 - scene.corners[k].0;
@@ -71,8 +72,8 @@ impl Recall {
                     })
             };
             let wrong = markers.iter().find(|m| !m.is_doubtful && !is_right(m));
-            // A marker whose cells are hardly wider than the blur may be misread. So a pose needs two
-            // markers that agree.
+            // A marker whose cells are hardly wider than the blur may be misread. So a pose needs
+            // two markers that agree.
             let is_read = cell_in_blurs(side, tilt_deg, blur) > 2.0;
             assert!(
                 wrong.is_none() || !is_read,
@@ -89,8 +90,8 @@ impl Recall {
     }
 }
 
-/// Width of a cell where the marker is narrowest, in standard deviations of the blur, to which a pixel's
-/// own width adds.
+/// Width of a cell where the marker is narrowest, in standard deviations of the blur, to which a
+/// pixel's own width adds.
 fn cell_in_blurs(side: f64, tilt_deg: f64, blur: f64) -> f64 {
     side * tilt_deg.to_radians().cos() / 7.0 / blur.hypot(0.29)
 }
@@ -113,7 +114,8 @@ fn markers_are_found_where_cells_are_wider_than_the_blur() {
     }
 }
 
-/// White grows over black where the sensor clips it, so the more light there is, the wider cells must be.
+/// White grows over black where the sensor clips it, so the more light there is, the wider cells
+/// must be.
 #[test]
 fn markers_that_saturate_the_sensor_are_found() {
     let mut recall = Recall::new();

@@ -139,7 +139,7 @@ const MIN_RECALL_PERCENT: u32 = 60;
 fn compare(
     tally: &mut Tally,
     view: &View,
-    marker: &flockeye_detection::Found,
+    marker: &flockeye_detection::MarkerInView,
     rays: &[Ray; 4],
     frame: u32,
 ) {

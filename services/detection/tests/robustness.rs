@@ -108,7 +108,7 @@ fn parameters_outside_their_range_are_refused() {
         DetectorParameters { thresholds: vec![even_window], ..Default::default() },
         DetectorParameters { thresholds: vec![every_pixel], ..Default::default() },
         DetectorParameters { min_side_px: f64::NAN, ..Default::default() },
-        DetectorParameters { min_log_likelihood_ratio: -1.5, ..Default::default() },
+        DetectorParameters { corner_accuracy_px: -1.5, ..Default::default() },
     ] {
         let error = refused("DICT_5X5_250", parameters);
         assert!(matches!(error, DetectError::Parameter { .. }), "{error}");

@@ -6,9 +6,9 @@ mod shared;
 
 use std::f64::consts::PI;
 
-use flockeye_detection::{Detector, DetectorParameters, Found, keep_plausible};
+use flockeye_detection::{Detector, DetectorParameters, MarkerInView, keep_plausible};
 use flockeye_geometry::body::{Bodies, squares};
-use flockeye_geometry::pose::{CornerRay, PoseOptions, solve};
+use flockeye_geometry::pose::{CornerRay, solve};
 use flockeye_geometry::view::View;
 use flockeye_imaging::light::{CodeRange, LinearLight, TransferCurve};
 use nalgebra::Vector3;
@@ -32,7 +32,7 @@ impl Observer {
     }
 
     /// The decoded markers in a view that belong to the bodies.
-    fn decoded(&mut self, picture: &Picture, view: &View) -> Vec<Found> {
+    fn decoded(&mut self, picture: &Picture, view: &View) -> Vec<MarkerInView> {
         let found = self.detector.detect(&picture.image(), view, &self.light);
         let found = keep_plausible(found, &self.bodies);
         found
@@ -42,7 +42,7 @@ impl Observer {
     }
 
     /// How many bodies have a pose that two markers agree on.
-    fn poses(&self, decoded: &[Found]) -> usize {
+    fn poses(&self, decoded: &[MarkerInView]) -> usize {
         let has_pose = |index: usize| {
             let body = self.bodies.get(index).unwrap();
             let rays: Vec<CornerRay> = decoded
@@ -57,7 +57,7 @@ impl Observer {
                     })
                 })
                 .collect();
-            let solutions = solve(body, &rays, &PoseOptions::default()).unwrap_or_default();
+            let solutions = solve(body, &rays).unwrap_or_default();
             solutions.iter().any(|solution| solution.inlier_markers.len() >= 2)
         };
         (0..self.bodies.len()).filter(|&index| has_pose(index)).count()
@@ -220,7 +220,7 @@ fn real_panoramas_give_no_pose() {
         ] {
             let sphere = Picture::read(&data.join(file));
             let views = partitions(sphere.width as f64 / (2.0 * PI));
-            let found: Vec<Found> =
+            let found: Vec<MarkerInView> =
                 views.iter().flat_map(|view| observer.decoded(&sphere.cut(view), view)).collect();
             println!("{dictionary} in {file}: {} markers", found.len());
             assert_eq!(observer.poses(&found), 0, "{dictionary} in {file}: {found:#?}");

@@ -11,7 +11,7 @@ use flockeye_imaging::gyroscope::grid::Sampler;
 use flockeye_imaging::sphere::{SphereError, SphereImage};
 use nalgebra::UnitQuaternion;
 
-use crate::inertial::{Notice, Sensor};
+use crate::inertial::{SensorNotice, SensorWatch};
 use crate::rate::RateFilter;
 
 /// Frames that lie farther apart are not compared, seconds: too little of what both show is the
@@ -26,16 +26,16 @@ pub(crate) struct Core {
     camera: Camera,
     gyroscope: Gyroscope,
     sampler: Sampler,
-    rate: RateFilter,
+    /// The filter of the rate, while it is known.
+    rate: Option<RateFilter>,
     /// Where an inertial sensor is configured.
-    sensor: Option<Sensor>,
+    sensor: Option<SensorWatch>,
     /// The inertial sensor as it is configured.
     camera_from_sensor: UnitQuaternion<f64>,
     time_offset_s: f64,
     /// Which run of the inertial sensor its last samples are of: generation and epoch.
     sensor_run: (u32, u32),
     exposure_s: f64,
-    /// The frame before.
     earlier: Option<FrameStamp>,
     generation: u32,
 }
@@ -52,8 +52,8 @@ impl Core {
             camera: resolved.camera,
             gyroscope: Gyroscope::new(sampler.clone()),
             sampler,
-            rate: RateFilter::new(),
-            sensor: resolved.pipeline.uses_inertial_sensor().then(Sensor::new),
+            rate: None,
+            sensor: resolved.pipeline.uses_inertial_sensor().then(SensorWatch::new),
             camera_from_sensor: rotation(inertial.camera_from_sensor),
             time_offset_s: inertial.time_offset_ms * 1e-3,
             sensor_run: (0, 0),
@@ -78,8 +78,8 @@ impl Core {
     }
 
     /// What the inertial sensor has done since this was asked last.
-    pub(crate) fn take_notices(&mut self) -> Vec<Notice> {
-        self.sensor.as_mut().map(Sensor::take_notices).unwrap_or_default()
+    pub(crate) fn take_notices(&mut self) -> Vec<SensorNotice> {
+        self.sensor.as_mut().map(SensorWatch::take_notices).unwrap_or_default()
     }
 
     /// How the camera has turned since the frame before.
@@ -96,7 +96,7 @@ impl Core {
         let earlier = self.earlier.replace(stamp).filter(|earlier| follows(&stamp, earlier));
         if earlier.is_none() {
             self.gyroscope = Gyroscope::new(self.sampler.clone());
-            self.rate.forget();
+            self.rate = None;
         }
         let times = earlier.map(|earlier| (earlier.exposure_s(), stamp.exposure_s()));
         let by_sensor = times
@@ -110,7 +110,7 @@ impl Core {
         let unknown = Rotation { stamp, generation: self.generation, ..Rotation::default() };
         let Some(earlier) = earlier else { return Ok(unknown) };
         let Some((turned, source)) = self.turned(&earlier, &stamp, by_picture, by_sensor) else {
-            self.rate.forget();
+            self.rate = None;
             return Ok(unknown);
         };
         let turn = self.turn(&earlier, &stamp, &turned);
@@ -118,7 +118,7 @@ impl Core {
     }
 
     fn sensor_counts(&self) -> bool {
-        self.sensor.as_ref().is_some_and(Sensor::counts)
+        self.sensor.as_ref().is_some_and(SensorWatch::counts)
     }
 
     /// Where the picture's rotation is looked for: where the sensor has it, or where the rate
@@ -133,8 +133,8 @@ impl Core {
         }
         let (from_s, to_s) = times?;
         // The sphere turns the other way than the camera.
-        let expected = self.rate.expected(to_s - from_s);
-        expected.map(|turned| UnitQuaternion::from_scaled_axis(-turned))
+        let expected = self.rate.as_ref()?.expected(to_s - from_s);
+        Some(UnitQuaternion::from_scaled_axis(-expected))
     }
 
     /// The rotation between two frames by whatever knows it.
@@ -168,11 +168,12 @@ impl Core {
     fn turn(&mut self, earlier: &FrameStamp, stamp: &FrameStamp, turned: &Turned) -> CameraTurn {
         let (earlier_s, later_s) = (earlier.exposure_s(), stamp.exposure_s());
         let vector = turned.later_from_earlier.inverse().scaled_axis();
-        let mut rate = self.rate.update(later_s - earlier_s, &vector, &turned.covariance);
+        let step_s = later_s - earlier_s;
+        let mut rate = RateFilter::updated(self.rate.take(), step_s, &vector, &turned.covariance);
         let sensor = self.sensor.as_ref();
         let by_sensor = sensor.and_then(|sensor| sensor.rate(later_s, self.exposure_s));
         if let Some((by_sensor, covariance)) = by_sensor {
-            rate = self.rate.observe(&by_sensor, &covariance);
+            rate.observe(&by_sensor, &covariance);
         }
         let ahead = sensor.and_then(|sensor| {
             let (until_s, turned) = sensor.ahead(later_s)?;
@@ -185,13 +186,15 @@ impl Core {
                 rate_covariance,
             })
         });
+        let (rate_in_camera, rate_covariance) = rate.now();
+        self.rate = Some(rate);
         CameraTurn {
             earlier_s,
             later_s,
             later_from_earlier: turned.later_from_earlier,
             covariance: turned.covariance,
-            rate_in_camera: rate.0,
-            rate_covariance: rate.1,
+            rate_in_camera,
+            rate_covariance,
             ahead,
         }
     }

@@ -36,7 +36,7 @@ const AHEAD_S: f64 = 0.5;
 
 /// What is worth a line in the log.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) enum Notice {
+pub(crate) enum SensorNotice {
     /// The sensor agrees with the picture; from now on it counts.
     Agrees {
         /// Its bias along the camera's axes, rad/s.
@@ -53,9 +53,9 @@ pub(crate) enum Notice {
     Heard,
 }
 
-/// The inertial sensor, as the picture judges it.
+/// The inertial sensor, and how far it agrees with the picture.
 #[derive(Debug)]
-pub(crate) struct Sensor {
+pub(crate) struct SensorWatch {
     record: RateRecord,
     errors: SensorErrors,
     standing: Standing,
@@ -67,7 +67,7 @@ pub(crate) struct Sensor {
     /// Since when pictures have no samples, seconds of the exposures.
     silent_since_s: Option<f64>,
     is_silent: bool,
-    notices: Vec<Notice>,
+    notices: Vec<SensorNotice>,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -77,7 +77,7 @@ enum Standing {
     LeftOut,
 }
 
-impl Sensor {
+impl SensorWatch {
     /// A sensor before its first sample.
     pub(crate) fn new() -> Self {
         Self {
@@ -104,13 +104,12 @@ impl Sensor {
         self.errors.begin_clock();
     }
 
-    /// Whether the sensor counts.
     pub(crate) fn counts(&self) -> bool {
         self.standing == Standing::Counts
     }
 
     /// What has happened since this was asked last.
-    pub(crate) fn take_notices(&mut self) -> Vec<Notice> {
+    pub(crate) fn take_notices(&mut self) -> Vec<SensorNotice> {
         std::mem::take(&mut self.notices)
     }
 
@@ -122,7 +121,7 @@ impl Sensor {
             Some(_) => {
                 self.silent_since_s = None;
                 if std::mem::take(&mut self.is_silent) {
-                    self.notices.push(Notice::Heard);
+                    self.notices.push(SensorNotice::Heard);
                 }
             }
             None => {
@@ -130,7 +129,7 @@ impl Sensor {
                 // A recording that begins again has an earlier time.
                 let silent_s = (later_s - since_s).abs();
                 if silent_s > SILENT_S && !std::mem::replace(&mut self.is_silent, true) {
-                    self.notices.push(Notice::Silent);
+                    self.notices.push(SensorNotice::Silent);
                 }
             }
         }
@@ -171,11 +170,11 @@ impl Sensor {
             self.standing = Standing::LeftOut;
             self.errors = SensorErrors::new();
             (self.agreed, self.turned) = (0, 0.0);
-            self.notices.push(Notice::Disagrees { off });
+            self.notices.push(SensorNotice::Disagrees { off });
         } else if !self.counts() && self.agreed >= needed && self.turned >= TURNED {
             self.standing = Standing::Counts;
             self.outside = 0;
-            self.notices.push(Notice::Agrees { bias: self.errors.bias() });
+            self.notices.push(SensorNotice::Agrees { bias: self.errors.bias });
         }
     }
 
@@ -194,12 +193,6 @@ impl Sensor {
             return None;
         }
         Some((until_s, self.errors.turned(&self.record, exposure_s, until_s)?.turned))
-    }
-}
-
-impl Default for Sensor {
-    fn default() -> Self {
-        Self::new()
     }
 }
 

@@ -14,11 +14,6 @@ const FIRST_DEVIATIONS: [f64; 2] = [3.0, 10.0];
 /// The rate and its change, and how certain both are.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct RateFilter {
-    state: Option<State>,
-}
-
-#[derive(Debug, Clone, PartialEq)]
-struct State {
     rate: Vector3<f64>,
     acceleration: Vector3<f64>,
     /// Covariance of rate and acceleration about any one axis.
@@ -26,33 +21,27 @@ struct State {
 }
 
 impl RateFilter {
-    /// Nothing was measured yet.
-    pub(crate) fn new() -> Self {
-        Self { state: None }
-    }
-
-    /// Forgets all.
-    pub(crate) fn forget(&mut self) {
-        self.state = None;
-    }
-
     /// The rotation vector that is expected over the next `step_s` seconds, in the camera's axes,
     /// radians.
-    pub(crate) fn expected(&self, step_s: f64) -> Option<Vector3<f64>> {
-        let state = self.state.as_ref()?;
-        Some(state.rate * step_s + state.acceleration * (step_s * step_s / 2.0))
+    pub(crate) fn expected(&self, step_s: f64) -> Vector3<f64> {
+        self.rate * step_s + self.acceleration * (step_s * step_s / 2.0)
     }
 
-    /// Takes in the camera's rotation vector over the last `step_s` seconds, in its axes, with its
-    /// covariance (rad^2), and returns the rate now (rad/s), with its covariance.
-    pub(crate) fn update(
-        &mut self,
+    /// The rate now, rad/s, with its covariance.
+    pub(crate) fn now(&self) -> (Vector3<f64>, Matrix3<f64>) {
+        (self.rate, Matrix3::from_diagonal_element(self.covariance[(0, 0)]))
+    }
+
+    /// The filter after the camera's rotation vector over the last `step_s` seconds, in its axes,
+    /// with its covariance (rad^2). `before` is `None` where nothing was measured yet.
+    pub(crate) fn updated(
+        before: Option<Self>,
         step_s: f64,
         turned: &Vector3<f64>,
         covariance: &Matrix3<f64>,
-    ) -> (Vector3<f64>, Matrix3<f64>) {
+    ) -> Self {
         let [rate, change] = FIRST_DEVIATIONS;
-        let state = self.state.take().unwrap_or_else(|| State {
+        let before = before.unwrap_or_else(|| Self {
             rate: turned / step_s,
             acceleration: Vector3::zeros(),
             covariance: Matrix2::new(rate * rate, 0.0, 0.0, change * change),
@@ -61,56 +50,31 @@ impl RateFilter {
         let noise =
             Matrix2::new(step_s.powi(3) / 3.0, step_s.powi(2) / 2.0, step_s.powi(2) / 2.0, step_s)
                 * (JERK * JERK);
-        let predicted = transition * state.covariance * transition.transpose() + noise;
-        let (rate, acceleration) = (state.rate + state.acceleration * step_s, state.acceleration);
+        let predicted = transition * before.covariance * transition.transpose() + noise;
+        let (rate, acceleration) =
+            (before.rate + before.acceleration * step_s, before.acceleration);
         // The mean rate over the step: the rate now, less half of its change.
         let seen = RowVector2::new(1.0, -step_s / 2.0);
         let variance = covariance.trace() / 3.0 / (step_s * step_s);
         let spread = (seen * predicted * seen.transpose())[0] + variance;
         let gain = predicted * seen.transpose() / spread;
         let innovation = turned / step_s - (rate - acceleration * (step_s / 2.0));
-        let state = State {
+        Self {
             rate: rate + innovation * gain[0],
             acceleration: acceleration + innovation * gain[1],
             covariance: predicted - gain * spread * gain.transpose(),
-        };
-        let found = (state.rate, Matrix3::from_diagonal_element(state.covariance[(0, 0)]));
-        self.state = Some(state);
-        found
+        }
     }
 
-    /// Takes in the rate at the same time from an inertial sensor, rad/s, with its covariance, and
-    /// returns what the rate is now. It is called after [`Self::update`].
-    pub(crate) fn observe(
-        &mut self,
-        rate: &Vector3<f64>,
-        covariance: &Matrix3<f64>,
-    ) -> (Vector3<f64>, Matrix3<f64>) {
-        let [_, change] = FIRST_DEVIATIONS;
-        let variance = covariance.trace() / 3.0;
-        let state = self.state.take().unwrap_or_else(|| State {
-            rate: *rate,
-            acceleration: Vector3::zeros(),
-            covariance: Matrix2::new(variance, 0.0, 0.0, change * change),
-        });
+    /// Takes in the rate at the same time from an inertial sensor, rad/s, with its covariance.
+    pub(crate) fn observe(&mut self, rate: &Vector3<f64>, covariance: &Matrix3<f64>) {
         let seen = RowVector2::new(1.0, 0.0);
-        let spread = state.covariance[(0, 0)] + variance;
-        let gain = state.covariance * seen.transpose() / spread;
-        let innovation = rate - state.rate;
-        let state = State {
-            rate: state.rate + innovation * gain[0],
-            acceleration: state.acceleration + innovation * gain[1],
-            covariance: state.covariance - gain * spread * gain.transpose(),
-        };
-        let found = (state.rate, Matrix3::from_diagonal_element(state.covariance[(0, 0)]));
-        self.state = Some(state);
-        found
-    }
-}
-
-impl Default for RateFilter {
-    fn default() -> Self {
-        Self::new()
+        let spread = self.covariance[(0, 0)] + covariance.trace() / 3.0;
+        let gain = self.covariance * seen.transpose() / spread;
+        let innovation = rate - self.rate;
+        self.rate += innovation * gain[0];
+        self.acceleration += innovation * gain[1];
+        self.covariance -= gain * spread * gain.transpose();
     }
 }
 
@@ -134,17 +98,20 @@ mod tests {
         #[test]
         fn the_rate_is_that_of_now_and_not_of_half_a_frame_ago(hz in 0.1..0.7f64, start in 0.0..6.0f64) {
             let way = swinging(hz, start);
-            let mut filter = RateFilter::new();
+            let mut filter = None;
             let covariance = Matrix3::from_diagonal_element(3.5e-4f64.powi(2));
             for frame in 1..60 {
                 let at_s = f64::from(frame) * STEP_S;
                 let turned = way(at_s)[1] - way(at_s - STEP_S)[1];
-                let (rate, _) = filter.update(STEP_S, &Vector3::new(0.0, turned, 0.0), &covariance);
+                let turned = Vector3::new(0.0, turned, 0.0);
+                let updated = RateFilter::updated(filter.take(), STEP_S, &turned, &covariance);
+                let (rate, _) = updated.now();
+                filter = Some(updated);
                 let off_deg_s = (rate.y - way(at_s)[0]).to_degrees();
                 prop_assert!(frame < 8 || off_deg_s.abs() < 1.0, "frame {frame}: {off_deg_s}");
             }
             let next_s = 60.0 * STEP_S;
-            let expected = filter.expected(STEP_S).map(|turned| turned.y);
+            let expected = filter.map(|filter| filter.expected(STEP_S).y);
             let truth = way(next_s)[1] - way(next_s - STEP_S)[1];
             prop_assert!((expected.unwrap_or(9.0) - truth).abs().to_degrees() < 0.08);
         }
@@ -152,15 +119,17 @@ mod tests {
 
     #[test]
     fn noise_is_smoothed_and_stated() {
-        let mut filter = RateFilter::new();
+        let mut filter = None;
         let deviation = 3.5e-4;
         let covariance = Matrix3::from_diagonal_element(deviation * deviation);
         let (mut squares, mut stated) = (0.0, 0.0);
         // Errors that are alike on average, without a generator: the golden angle's steps.
         for k in 0..2000u32 {
             let noise = deviation * 2f64.sqrt() * (f64::from(k) * 2.399_963).sin();
-            let (rate, covariance) =
-                filter.update(STEP_S, &Vector3::new(noise, 0.0, 0.0), &covariance);
+            let turned = Vector3::new(noise, 0.0, 0.0);
+            let updated = RateFilter::updated(filter.take(), STEP_S, &turned, &covariance);
+            let (rate, covariance) = updated.now();
+            filter = Some(updated);
             if k > 20 {
                 squares += rate.x * rate.x;
                 stated += covariance[(0, 0)];
@@ -174,34 +143,29 @@ mod tests {
     #[test]
     fn a_sensor_that_measures_the_rate_itself_is_followed() {
         let way = swinging(0.6, 0.3);
-        let (mut by_both, mut by_picture) = (RateFilter::new(), RateFilter::new());
+        let (mut by_both, mut by_picture): (Option<RateFilter>, Option<RateFilter>) = (None, None);
         let covariance = Matrix3::from_diagonal_element(3.5e-4f64.powi(2));
         let sensor = Matrix3::from_diagonal_element(2e-3f64.powi(2));
         for frame in 1..40 {
             let at_s = f64::from(frame) * STEP_S;
             let turned = Vector3::x() * (way(at_s)[1] - way(at_s - STEP_S)[1]);
-            by_picture.update(STEP_S, &turned, &covariance);
-            by_both.update(STEP_S, &turned, &covariance);
-            let (rate, stated) = by_both.observe(&(Vector3::x() * way(at_s)[0]), &sensor);
+            let updated = |before: Option<RateFilter>| {
+                RateFilter::updated(before, STEP_S, &turned, &covariance)
+            };
+            by_picture = Some(updated(by_picture));
+            let mut both = updated(by_both);
+            both.observe(&(Vector3::x() * way(at_s)[0]), &sensor);
+            let (rate, stated) = both.now();
+            by_both = Some(both);
             assert!(frame < 4 || (rate.x - way(at_s)[0]).abs() < 2e-3, "frame {frame}: {rate}");
             assert!(stated[(0, 0)] <= sensor[(0, 0)] * 1.0001);
         }
         let next_s = 40.0 * STEP_S;
         let truth = way(next_s)[1] - way(next_s - STEP_S)[1];
-        let off =
-            |filter: &RateFilter| (filter.expected(STEP_S).unwrap_or_default().x - truth).abs();
-        assert!(off(&by_both) < off(&by_picture), "{} {}", off(&by_both), off(&by_picture));
-        // With nothing before, the sensor's rate is the rate.
-        let (rate, _) = RateFilter::new().observe(&Vector3::y(), &sensor);
-        assert_eq!(rate, Vector3::y());
-    }
-
-    #[test]
-    fn what_is_forgotten_expects_nothing() {
-        let mut filter = RateFilter::default();
-        filter.update(STEP_S, &Vector3::x(), &Matrix3::identity());
-        assert!(filter.expected(STEP_S).is_some());
-        filter.forget();
-        assert_eq!(filter.expected(STEP_S), None);
+        let off = |filter: Option<RateFilter>| {
+            filter.map_or(f64::INFINITY, |filter| (filter.expected(STEP_S).x - truth).abs())
+        };
+        let (by_both, by_picture) = (off(by_both), off(by_picture));
+        assert!(by_both < by_picture, "{by_both} {by_picture}");
     }
 }

@@ -9,7 +9,7 @@ use flockeye_runtime::{Context, Stage, Step, clock};
 use nalgebra::Vector3;
 
 use crate::core::Core;
-use crate::inertial::Notice;
+use crate::inertial::SensorNotice;
 use crate::words::RotationCount;
 
 /// Takes frames and an inertial sensor's samples; gives the camera's rotation to each frame.
@@ -76,24 +76,24 @@ impl Stage for EgomotionStage {
 }
 
 /// A line for what the inertial sensor has done: each is logged once until the next.
-fn log(notice: Notice) {
+fn log(notice: SensorNotice) {
     let degrees = |rate: Vector3<f64>| {
         let [x, y, z] = rate.map(f64::to_degrees).into();
         format!("{x:.1}, {y:.1}, {z:.1} degrees/s about x, y, z")
     };
     match notice {
-        Notice::Agrees { bias } => {
+        SensorNotice::Agrees { bias } => {
             tracing::info!("the inertial sensor agrees with the picture; bias {}", degrees(bias));
         }
-        Notice::Disagrees { off } => tracing::warn!(
+        SensorNotice::Disagrees { off } => tracing::warn!(
             "the inertial sensor disagrees with the picture by {} and is left out. Cure: check its axes and \
              its clock with flockeye calibrate imu",
             degrees(off)
         ),
-        Notice::Silent => tracing::warn!(
+        SensorNotice::Silent => tracing::warn!(
             "no samples of the inertial sensor cover the frames: is it sending, and is \
              inertial.time_offset_ms right?"
         ),
-        Notice::Heard => tracing::info!("the inertial sensor sends again"),
+        SensorNotice::Heard => tracing::info!("the inertial sensor sends again"),
     }
 }

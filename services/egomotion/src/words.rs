@@ -12,9 +12,9 @@ pub(crate) struct RotationCount {
 
 impl RotationCount {
     /// Counts a frame's rotation, and describes how the camera turns. The text has its rate and the
-    /// standard deviation stated for it (root of the covariance's trace), both in degrees/s. It also
-    /// has what it was measured by, and of how many frames it was known. It has at most 96 bytes,
-    /// the room in `Health`.
+    /// standard deviation stated for it (root of the covariance's trace), both in degrees/s. It
+    /// also has what it was measured by, and of how many frames it was known. It has at most 96
+    /// bytes, the room in `Health`.
     pub(crate) fn in_words(&mut self, rotation: &Rotation) -> String {
         self.frames += 1;
         // The contract's check refuses unknown codes before anyone reads them.

@@ -1,24 +1,16 @@
 //! What was decided of one body in each frame, and why: plain data for whoever asks afterwards.
 //!
-//! Each pass gives a [`Trial`] of its target: what it tried, the decision, and what became of it. The [`Account`] keeps the
-//! trials of one target for whoever asks; nothing is decided by what it keeps.
+//! Each pass gives a [`Trial`] of its target: what it tried, the decision, and what became of it.
+//! The tracker keeps the trials of one target for whoever asks; nothing is decided by them.
 
-use flockeye_contract::FrameOrder;
 use nalgebra::Isometry3;
 
 use crate::decide::outcome::Outcome;
 use crate::decide::{self, Decision, Verdict};
 use crate::hypothesis::{CornerPose, Hypothesis};
-use crate::measurement::Measurement;
+use crate::measurement::PoseMeasurement;
 use crate::policy::TimeBudget;
 use crate::track_prior::TrackPrior;
-
-/// What happened to one target.
-#[derive(Debug)]
-pub struct Account {
-    target: usize,
-    entries: Vec<(FrameOrder, AccountEntry)>,
-}
 
 /// One thing that happened to the target in a frame.
 #[derive(Debug, Clone, PartialEq)]
@@ -28,7 +20,8 @@ pub enum AccountEntry {
     NotRun(Pass, NotRun),
     /// A pass ran.
     Ran(Trial),
-    /// Decoded markers contradict the pose of the direct pass: its target waits for its markers for a while.
+    /// Decoded markers contradict the pose of the direct pass: its target waits for its markers for
+    /// a while.
     Contradicted,
     /// The frame is complete, and what only corrects the track was taken in.
     TakenImprecise(Outcome),
@@ -118,35 +111,8 @@ impl Trial {
     }
 
     /// The pose that was chosen, as a measurement.
-    pub fn measurement(&self) -> Option<Measurement> {
+    pub fn measurement(&self) -> Option<PoseMeasurement> {
         let markers = self.decoded.len() as u32;
         decide::measurement(&self.decision, &self.hypotheses, &self.corner_poses, markers)
-    }
-}
-
-impl Account {
-    /// An account of a target, from now on.
-    pub fn of(target: usize) -> Self {
-        Self { target, entries: Vec::new() }
-    }
-
-    /// Whether the account is about this target.
-    pub fn is_of(&self, target: usize) -> bool {
-        self.target == target
-    }
-
-    /// Notes what happened in a frame.
-    pub fn note(&mut self, order: FrameOrder, entry: AccountEntry) {
-        self.entries.push((order, entry));
-    }
-
-    /// What happened and was not taken yet.
-    pub fn entries(&self) -> &[(FrameOrder, AccountEntry)] {
-        &self.entries
-    }
-
-    /// What happened since this was asked last.
-    pub fn take(&mut self) -> Vec<(FrameOrder, AccountEntry)> {
-        std::mem::take(&mut self.entries)
     }
 }

@@ -1,40 +1,42 @@
-//! Tries poses: aligns bodies with pictures from several starts, and collects what that leads to for a decision.
+//! Tries poses: aligns bodies with pictures from several starts, and collects what that leads to
+//! for a decision.
 //!
-//! Two poses of a flat marker project almost alike (planar pose ambiguity), so one facet can agree with
-//! two attitudes, and a second facet of a few pixels agrees by chance with the wrong one. A track decides
-//! between them by its prediction ([`Aligner::confirm`]). Without one, hypotheses compete by their
-//! evidence ([`Aligner::initiate`]).
+//! Two poses of a flat marker project almost alike (planar pose ambiguity), so one facet can agree
+//! with two attitudes, and a second facet of a few pixels agrees by chance with the wrong one. A
+//! track decides between them by its prediction ([`Aligner::confirm`]). Without one, hypotheses
+//! compete by their evidence ([`Aligner::initiate`]).
 
 use std::sync::{Arc, OnceLock};
 
 use flockeye_geometry::body::{Bodies, Body};
 use flockeye_imaging::align::{
-    AlignError, AlignOptions, Alignment, BodyPrint, Coding, Motion, Picture, Place, PrintError,
-    Templates, align, reacquire, starts_at,
+    AlignError, AlignOptions, Alignment, BodyPrint, Motion, Picture, Place, PrintError, Templates,
+    align, reacquire, starts_at,
 };
 use flockeye_imaging::edges::MarkerPrint;
 use nalgebra::{Isometry3, Unit, Vector3};
 
 use crate::decide::{self, Decision};
-use crate::hypothesis::{Hypothesis, Source};
+use crate::hypothesis::{Hypothesis, StartSource};
 use crate::policy::TimeBudget;
 
 /// The view that shows a body best.
 #[derive(Debug, Clone, Copy)]
-pub struct BestView<'p> {
+pub(crate) struct BestView<'p> {
     /// The view, with its pixels.
     pub picture: Picture<'p>,
     /// Its place in the plan.
-    pub view_index: u32,
+    pub(crate) view_index: u32,
     /// Squares in it that agree with one pose, where no marker was decoded and there is no track.
-    pub agreeing: u32,
-    /// The distance that its rays are right for, metres. It matters for lenses off the camera's centre.
-    pub rays_m: f64,
+    pub(crate) agreeing: u32,
+    /// The distance that its rays are right for, metres. It matters for lenses off the camera's
+    /// centre.
+    pub(crate) rays_m: f64,
 }
 
 impl BestView<'_> {
     /// Returns this view for a body that moves.
-    pub fn moving(&self, motion: Motion) -> Self {
+    pub(crate) fn moving(&self, motion: Motion) -> Self {
         Self { picture: Picture { motion, ..self.picture }, ..*self }
     }
 }
@@ -58,7 +60,7 @@ pub struct Sought<'s> {
     /// The picture.
     pub picture: &'s Picture<'s>,
     /// Where alignment starts, in this order.
-    pub starts: &'s [(Source, Start)],
+    pub starts: &'s [(StartSource, Start)],
     /// How much time there is.
     pub budget: TimeBudget,
 }
@@ -69,20 +71,14 @@ pub struct Aligner {
     prints: Vec<BodyPrint>,
     /// Templates of each print, made when they are needed first.
     templates: Arc<[OnceLock<Templates>]>,
-    pixels_per_radian: f64,
+    pub(crate) pixels_per_radian: f64,
     options: AlignOptions,
-    tilt: Option<TiltPrior>,
-}
-
-/// How far from level neighbours fly.
-#[derive(Debug, Clone)]
-struct TiltPrior {
+    /// The largest tilt between a target and its observer, radians; 0 where none is known.
+    max_tilt_rad: f64,
     /// Up on the observer, in the camera frame.
     up_in_camera: Unit<Vector3<f64>>,
     /// Up on each target, in its markers' frame. `None` for a target that may hang in any attitude.
     up_in_markers: Vec<Option<Unit<Vector3<f64>>>>,
-    /// The largest tilt between a target and its observer, radians.
-    max_rad: f64,
 }
 
 impl Aligner {
@@ -98,26 +94,33 @@ impl Aligner {
         let prints: Vec<BodyPrint> =
             bodies.iter().map(|body| BodyPrint::new(body, &print_of)).collect::<Result<_, _>>()?;
         let templates = prints.iter().map(|_| OnceLock::new()).collect();
-        let options = AlignOptions::default();
-        Ok(Self { prints, templates, pixels_per_radian, options, tilt: None })
+        Ok(Self {
+            prints,
+            templates,
+            pixels_per_radian,
+            options: AlignOptions::default(),
+            max_tilt_rad: 0.0,
+            up_in_camera: Vector3::z_axis(),
+            up_in_markers: Vec::new(),
+        })
     }
 
     /// Multiplies covariances by this; see [`AlignOptions::covariance_scale`].
-    pub fn with_covariance_scale(mut self, covariance_scale: f64) -> Self {
+    pub(crate) fn with_covariance_scale(mut self, covariance_scale: f64) -> Self {
         self.options.covariance_scale = covariance_scale;
         self
     }
 
-    /// Sets how the pictures are coded.
-    pub fn with_coding(mut self, coding: Coding) -> Self {
-        self.options.coding = coding;
+    /// Multiplies covariances by this too; see [`AlignOptions::coding_covariance_scale`].
+    pub(crate) fn with_coding_covariance_scale(mut self, scale: f64) -> Self {
+        self.options.coding_covariance_scale = scale;
         self
     }
 
-    /// Sets how far targets may be tilted from their observer, whose camera is mounted as given: of two
-    /// poses that look alike, one beyond `max_rad` is not the body's. With 0 nothing is known of the
-    /// tilt. Nor is it ever of a body with a single marker, which may be stuck on anything.
-    pub fn with_max_tilt(
+    /// Sets how far targets may be tilted from their observer, whose camera is mounted as given: of
+    /// two poses that look alike, one beyond `max_rad` is not the body's. With 0 nothing is known
+    /// of the tilt. Nor is it ever of a body with a single marker, which may be stuck on anything.
+    pub(crate) fn with_max_tilt(
         mut self,
         bodies: &Bodies,
         observer_from_camera: &Isometry3<f64>,
@@ -127,23 +130,40 @@ impl Aligner {
             let up = body.target_from_markers.inverse() * Vector3::z_axis();
             (body.markers.len() > 1).then_some(up)
         };
-        let tilt = || TiltPrior {
-            up_in_camera: observer_from_camera.inverse() * Vector3::z_axis(),
-            up_in_markers: bodies.iter().map(up_in_markers).collect(),
-            max_rad,
-        };
-        self.tilt = (max_rad > 0.0).then(tilt);
+        self.max_tilt_rad = max_rad;
+        self.up_in_camera = observer_from_camera.inverse() * Vector3::z_axis();
+        self.up_in_markers = bodies.iter().map(up_in_markers).collect();
         self
     }
 
-    /// The sphere image's resolution.
-    pub fn pixels_per_radian(&self) -> f64 {
-        self.pixels_per_radian
+    /// Looks for a body, which a track predicts as `confirmed` if it has a confirmed one, then
+    /// round a prediction where no start leads to it. The other parameters are those of
+    /// [`Self::confirm`] and [`Self::initiate`].
+    pub(crate) fn find(
+        &self,
+        sought: &Sought<'_>,
+        is_marked: impl Fn(&Isometry3<f64>) -> bool,
+        confirmed: Option<&Isometry3<f64>>,
+        needs_facets: bool,
+        round: Option<&Isometry3<f64>>,
+        tried: &mut Vec<Hypothesis>,
+    ) -> Decision {
+        let decision = match confirmed {
+            Some(predicted) => self.confirm(sought, predicted, is_marked, tried),
+            None => self.initiate(sought, is_marked, needs_facets, tried),
+        };
+        match round {
+            Some(predicted) => {
+                self.or_round(decision, sought.target, sought.picture, predicted, tried)
+            }
+            None => decision,
+        }
     }
 
     /// Confirms where a body is, which its track `predicted`: aligns it from its starts until one
     /// leads to a pose that is certain. Where the budget is spent, only the first start is tried.
-    /// `is_marked` tells whether markers were decoded where a pose has them. What was tried is added to `tried`.
+    /// `is_marked` tells whether markers were decoded where a pose has them. What was tried is
+    /// added to `tried`.
     pub fn confirm(
         &self,
         sought: &Sought<'_>,
@@ -167,11 +187,13 @@ impl Aligner {
         decide::of_tracked(tried)
     }
 
-    /// Finds a body of which no track is confirmed from all of its starts. Hypotheses compete: what the starts led to, and
-    /// the mirror pose of the likeliest one about its most informative facet. What was tried is added to `tried`.
+    /// Finds a body of which no track is confirmed from all of its starts. Hypotheses compete: what
+    /// the starts led to, and the mirror pose of the likeliest one about its most informative
+    /// facet. What was tried is added to `tried`.
     ///
-    /// With a limited budget the first accepted pose that several facets tell ends the search: all starts
-    /// of an untracked target took 113 ms, in which every other pose waits. `needs_facets`: see [`decide::of_untracked`].
+    /// With a limited budget the first accepted pose that several facets tell ends the search: all
+    /// starts of an untracked target took 113 ms, in which every other pose waits. `needs_facets`:
+    /// see [`decide::of_untracked`].
     pub fn initiate(
         &self,
         sought: &Sought<'_>,
@@ -192,7 +214,7 @@ impl Aligner {
         let likeliest = decide::likeliest(tried);
         let best = likeliest.and_then(|index| tried.get(index)?.alignment());
         if let Some(mirror) = best.and_then(|best| self.mirror_of(target, picture, best)) {
-            tried.push(self.competing(target, Source::Mirror, Ok(mirror), &is_marked));
+            tried.push(self.competing(target, StartSource::Mirror, Ok(mirror), &is_marked));
         }
         decide::of_untracked(tried, likeliest, needs_facets)
     }
@@ -201,7 +223,7 @@ impl Aligner {
     fn competing(
         &self,
         target: usize,
-        source: Source,
+        source: StartSource,
         found: Result<Alignment, AlignError>,
         is_marked: impl Fn(&Isometry3<f64>) -> bool,
     ) -> Hypothesis {
@@ -224,10 +246,9 @@ impl Aligner {
 
     /// Whether body `target` is tilted within the limit in a pose; `None` where no limit is known.
     fn is_within_tilt(&self, target: usize, found: &Alignment) -> Option<bool> {
-        let tilt = self.tilt.as_ref()?;
-        let up_in_markers = tilt.up_in_markers.get(target)?.as_ref()?;
-        let tilt_rad = (found.camera_from_markers * up_in_markers).angle(&tilt.up_in_camera);
-        Some(tilt_rad <= tilt.max_rad)
+        let up_in_markers = self.up_in_markers.get(target)?.filter(|_| self.max_tilt_rad > 0.0)?;
+        let tilt_rad = (found.camera_from_markers * up_in_markers).angle(&self.up_in_camera);
+        Some(tilt_rad <= self.max_tilt_rad)
     }
 
     /// Searches for body `target` round where it was predicted.
@@ -241,7 +262,7 @@ impl Aligner {
     }
 
     /// Searches round a prediction too, unless a precise pose is chosen.
-    pub fn or_round(
+    pub(crate) fn or_round(
         &self,
         decision: Decision,
         target: usize,
@@ -253,15 +274,15 @@ impl Aligner {
             return decision;
         }
         let found = self.reacquire(target, picture, predicted).ok_or(AlignError::Nothing);
-        tried.push(Hypothesis::of(Source::Search, found));
+        tried.push(Hypothesis::of(StartSource::Search, found));
         decide::with_search(decision, tried, predicted)
     }
 
     /// Searches for body `target` in any attitude at a place.
     ///
-    /// What it finds competes as in [`Self::initiate`]. No more is asked of it: docs/results/places.md counts how likely
-    /// the best pose is where nobody is.
-    pub fn find_at(
+    /// What it finds competes as in [`Self::initiate`]. No more is asked of it:
+    /// docs/results/places.md counts how likely the best pose is where nobody is.
+    pub(crate) fn find_at(
         &self,
         target: usize,
         picture: &Picture<'_>,
@@ -274,8 +295,8 @@ impl Aligner {
         };
         let templates = templates.get_or_init(|| Templates::new(print));
         let starts = starts_at(print, templates, picture, place, &self.options);
-        let starts: Vec<(Source, Start)> =
-            starts.into_iter().map(|start| (Source::Place, Start::Rough(start))).collect();
+        let starts: Vec<(StartSource, Start)> =
+            starts.into_iter().map(|start| (StartSource::Place, Start::Rough(start))).collect();
         // The first that several facets tell will do: starts come best first.
         let sought = Sought { target, picture, starts: &starts, budget: TimeBudget::OneFrame };
         self.initiate(&sought, |_| false, false, tried)
@@ -290,7 +311,7 @@ impl Aligner {
     ///
     /// # Errors
     /// [`AlignError`].
-    pub fn try_align(
+    pub(crate) fn try_align(
         &self,
         target: usize,
         picture: &Picture<'_>,

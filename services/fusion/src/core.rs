@@ -1,89 +1,106 @@
 //! The core of fusion: events with their times in, tracks and plans out. It holds no port, no clock
 //! and no thread of its own.
 //!
-//! [`Core::on`] notes an event. [`Core::step`] does the most urgent piece of work and hands out what it
-//! led to; it is called again until there is nothing left to do.
+//! [`Core::on`] notes an event. [`Core::step`] does the most urgent piece of work and hands out
+//! what it led to; it is called again until there is nothing left to do.
 
-mod events;
+pub(crate) mod events;
 mod measuring;
 
-pub use crate::refusal::Refusal;
-pub use events::{EndedFrame, Event, Outputs};
+pub use events::{Event, Outputs};
 
 use std::collections::VecDeque;
 
-use flockeye_contract::{DetectedMarker, FrameOrder, FrameStamp, Rotation, ViewHeader};
+use flockeye_contract::{
+    DetectedMarker, FrameOrder, FrameStamp, JournalKind, Rotation, ViewHeader,
+};
 use flockeye_convert::{camera_turn, purpose_of, search_of, view_of};
+use flockeye_geometry::search::Planner;
 
-use crate::account::{AccountEntry, Pass};
-use crate::frame::OpenFrame;
+use crate::account::{AccountEntry, Trial};
 use crate::frame::frames::Frames;
-use crate::measure::background::Answer;
+use crate::journal::Journal;
+use crate::measure::FrameTime;
 use crate::measurement::agrees_with_view;
 use crate::notices::Notice;
 use crate::output::{Outgoing, TrackMessage};
-use crate::pictures::{PictureReader, Pixels};
+use crate::pictures::PictureReader;
 use crate::planning::Planning;
 use crate::policy::TimeBudget;
 use crate::record::Record;
 use crate::refusal::Guard;
 use crate::schedule::Schedule;
 use crate::snapshot::Snapshot;
-use crate::tracker::{FrameTime, Tracker};
-use crate::work::{Completion, Work};
+use crate::tracker::Tracker;
+use crate::work::Work;
 
 /// What fusion keeps between events. `P` is the hold on a view's pixels.
 pub struct Core<P> {
     schedule: Schedule,
-    frames: Frames<P>,
+    pub(crate) frames: Frames<P>,
     reader: PictureReader,
     tracker: Tracker,
+    planner: Planner,
     planning: Planning,
     /// Answers of the background pass, and from when on they count, nanoseconds of a virtual clock.
-    answers: VecDeque<(i64, Answer)>,
+    answers: VecDeque<(i64, Box<Trial>)>,
     notices: Vec<Notice>,
     /// `None` where any frame may come.
     guard: Option<Guard>,
+    /// What happens to the core, noted so that a flight can be repeated; `None` where nobody asks.
+    journal: Option<Journal>,
 }
 
-impl<P: Pixels> Core<P> {
+impl<P: AsRef<[u8]>> Core<P> {
     /// A core that has received nothing yet.
-    pub fn new(
+    pub(crate) fn new(
         schedule: Schedule,
         frames: Frames<P>,
         reader: PictureReader,
         tracker: Tracker,
-        planning: Planning,
+        planner: Planner,
     ) -> Self {
         Self {
             schedule,
             frames,
             reader,
             tracker,
-            planning,
+            planning: Planning::new(&planner),
+            planner,
             answers: VecDeque::new(),
             notices: Vec::new(),
             guard: None,
+            journal: None,
         }
     }
 
     /// Refuses what cannot be true in flight with `workers` detection workers.
-    pub fn guarded(self, workers: u32) -> Self {
+    pub(crate) fn guarded(self, workers: u32) -> Self {
         Self { guard: Some(Guard::new(workers)), ..self }
     }
 
+    /// Notes each event, step and message from now on in a journal.
+    pub fn journaled(self, journal: Journal) -> Self {
+        Self { journal: Some(journal), ..self }
+    }
+
+    /// The journal, if one is kept.
+    pub fn journal(&mut self) -> Option<&mut Journal> {
+        self.journal.as_mut()
+    }
+
     /// What a successor needs to go on.
-    pub fn snapshot(&self) -> Snapshot {
+    pub(crate) fn snapshot(&self) -> Snapshot {
         let published = |target| self.frames.last_published(target);
         let (targets, ego, exposure) = self.tracker.saved(published);
-        let ended = self.tracker.last_ended().max(self.frames.last_complete());
-        Snapshot { ended, targets, ego, exposure, planning: self.planning.saved() }
+        let ended = self.tracker.ended.map(|(order, _)| order).max(self.frames.last_complete);
+        Snapshot { ended, targets, ego, exposure, planning: self.planning.clone() }
     }
 
     /// Goes on from another process's snapshot, and returns the names of the bodies whose tracks go
     /// on. It is called before the first event. Poses that have left do not leave again in any
     /// case.
-    pub fn resume(&mut self, snapshot: Snapshot) -> Vec<String> {
+    pub(crate) fn resume(&mut self, snapshot: Snapshot) -> Vec<String> {
         let Snapshot { ended, targets, ego, exposure, planning } = snapshot;
         self.frames.begin_after(ended);
         for saved in &targets {
@@ -96,30 +113,10 @@ impl<P: Pixels> Core<P> {
         self.tracker.resume(targets, ego, exposure)
     }
 
-    /// Whether one more view would release the oldest that waits for its record.
-    pub fn is_full(&self) -> bool {
-        self.frames.is_full()
-    }
-
     /// Whether the view of a record has come.
-    pub fn has_view_of(&self, record: &Record) -> bool {
+    pub(crate) fn has_view_of(&self, record: &Record) -> bool {
         let frame = self.frames.waiting_frame(record.header.stamp.order());
         frame.is_some_and(|frame| frame.views.contains_key(&record.header.view_index))
-    }
-
-    /// Whether a frame takes nothing more, or a newer one.
-    pub fn has_ended(&self, stamp: &FrameStamp) -> bool {
-        self.frames.is_past(stamp)
-    }
-
-    /// How many frames wait for something.
-    pub fn open_frames(&self) -> usize {
-        self.frames.count()
-    }
-
-    /// How many plans were made.
-    pub fn plans(&self) -> u64 {
-        self.planning.plans()
     }
 
     /// The bodies, targets and their tracks.
@@ -137,20 +134,18 @@ impl<P: Pixels> Core<P> {
         self.tracker.take_account()
     }
 
-    /// When the oldest frame will be overdue, nanoseconds.
-    pub fn next_deadline_ns(&self) -> Option<i64> {
-        self.frames.next_deadline_ns()
-    }
-
     /// Whether a background pass may still find something in a frame that is open.
-    pub fn awaits_background(&self) -> bool {
+    pub(crate) fn awaits_background(&self) -> bool {
         self.tracker.awaited().is_some_and(|order| self.frames.get(order).is_some())
     }
 
     /// Takes in an event that came at `now_ns`, or returns why it is refused.
-    pub fn on(&mut self, event: Event<P>, now_ns: i64) -> Option<Refusal> {
+    pub fn on(&mut self, event: Event<P>, now_ns: i64) -> Option<String> {
+        if let Some(journal) = &mut self.journal {
+            journal.note_event(&event, now_ns);
+        }
         if let Some(refusal) = self.refusal(&event, now_ns) {
-            self.notices.push(Notice::Refused(refusal));
+            self.notices.push(Notice::Refused(refusal.clone()));
             return Some(refusal);
         }
         match event {
@@ -196,18 +191,18 @@ impl<P: Pixels> Core<P> {
             return;
         };
         if self.schedule.is_flight() {
-            frame.note_searched(view_index);
+            frame.searched.push(view_index);
         }
-        let shows = frame.shown(view_index, self.tracker.targets());
+        let shows = frame.qualities(view_index, self.tracker.targets());
         self.frames.answer(order, view_index, shows, !self.schedule.is_flight());
     }
 
     /// Why an event is refused.
-    fn refusal(&mut self, event: &Event<P>, now_ns: i64) -> Option<Refusal> {
+    fn refusal(&mut self, event: &Event<P>, now_ns: i64) -> Option<String> {
         let guard = self.guard.as_mut()?;
         let planned = |plan_id| self.frames.views_of_plan(plan_id);
         match event {
-            Event::View(view, _) => guard.refuses_view(view, now_ns),
+            Event::View(view, _) => guard.refuses_frame(&view.stamp, now_ns),
             Event::Searched(record) => {
                 guard.refuses_record(&record.header, planned(record.header.plan_id))
             }
@@ -231,9 +226,9 @@ impl<P: Pixels> Core<P> {
         }
     }
 
-    fn on_background(&mut self, answer: Answer) {
+    fn on_background(&mut self, answer: Box<Trial>) {
         let over_ns = match &self.schedule {
-            Schedule::Virtual(clock) => clock.background_over_ns(),
+            Schedule::Virtual(clock) => clock.background_over_ns,
             Schedule::Flight | Schedule::Unlimited => i64::MIN,
         };
         self.answers.push_back((over_ns, answer));
@@ -248,12 +243,27 @@ impl<P: Pixels> Core<P> {
             None => outputs.is_idle = true,
         }
         self.begin_background(&mut outputs);
+        if let Some(journal) = &mut self.journal
+            && outputs.has_worked()
+        {
+            journal.note_work(JournalKind::Step, now_ns, (0, 0));
+        }
         outputs
+    }
+
+    /// Notes that what the last step led to is written for the time `now_ns`.
+    pub fn say(&mut self, outputs: &Outputs, now_ns: i64) {
+        let messages = outputs.messages();
+        if let Some(journal) = &mut self.journal
+            && messages != (0, 0)
+        {
+            journal.note_work(JournalKind::Said, now_ns, messages);
+        }
     }
 
     /// The most urgent piece of work.
     fn next_work(&self, now_ns: i64) -> Option<Work> {
-        let opening = (self.planning.plans() == 0).then_some(Work::OpenFlow);
+        let opening = (self.frames.newest_plan == 0).then_some(Work::OpenFlow);
         let has_answer = self.schedule.is_flight() && !self.answers.is_empty();
         let answer = has_answer.then_some(Work::TakeAnswer);
         let of_frames = self.frames.next_work(now_ns);
@@ -265,17 +275,18 @@ impl<P: Pixels> Core<P> {
             Work::OpenFlow => self.plan(None, outputs),
             Work::MeasureRegions { order, .. } => self.measure_regions(order, outputs),
             Work::MeasureRecords { order } => {
-                let searched = self.frames.get_mut(order).map(OpenFrame::take_searched);
-                self.measure(order, Pass::Region, searched, outputs);
+                let frame = self.frames.get_mut(order);
+                let searched = frame.map(|frame| std::mem::take(&mut frame.searched));
+                self.measure(order, false, searched, outputs);
             }
             Work::TakeAnswer => {
                 let answer = self.answers.pop_front();
-                answer.into_iter().for_each(|(_, answer)| self.take_answer(answer, outputs));
+                answer.into_iter().for_each(|(_, answer)| self.take_answer(*answer, outputs));
             }
             Work::MeasureFrame { order } => {
                 self.take_answers(outputs);
-                self.measure(order, Pass::Complete, None, outputs);
-                match self.frames.keeps_places() {
+                self.measure(order, true, None, outputs);
+                match self.frames.keeping.keeps_places {
                     true => self.frames.set_measured(order),
                     false => self.end_frame(order, outputs),
                 }
@@ -285,19 +296,21 @@ impl<P: Pixels> Core<P> {
                     self.end_frame(order, outputs);
                 }
             }
-            Work::CompleteFrame { order, reason } => self.complete_frame(order, reason, outputs),
+            Work::CompleteFrame { order, is_overdue } => {
+                self.complete_frame(order, is_overdue, outputs);
+            }
         }
     }
 
     /// How much time the passes of a frame may take.
     fn budget(&self, stamp: &FrameStamp) -> TimeBudget {
-        self.schedule.budget(stamp, self.frames.newest())
+        self.schedule.budget(stamp, self.frames.newest.as_ref())
     }
 
     /// Publishes what a background pass found, if its frame is still open. Otherwise it has
     /// corrected the track, from which the next frame benefits.
-    fn take_answer(&mut self, answer: Answer, outputs: &mut Outputs) {
-        let frame = self.frames.get_mut(answer.subject.order);
+    fn take_answer(&mut self, answer: Trial, outputs: &mut Outputs) {
+        let frame = self.tracker.under_way().and_then(|order| self.frames.get_mut(order));
         let parts = frame.map(|frame| &mut frame.parts);
         let Some((order, update)) = self.tracker.background_answer(answer, parts) else { return };
         self.publish_updates(order, vec![update], None, outputs);
@@ -306,14 +319,14 @@ impl<P: Pixels> Core<P> {
     /// Nothing more is waited for in a frame. By a virtual clock, its regions are measured now, as
     /// in flight while its tiles are searched, and then it is the time at which flight would be
     /// done with them.
-    fn complete_frame(&mut self, order: FrameOrder, reason: Completion, outputs: &mut Outputs) {
+    fn complete_frame(&mut self, order: FrameOrder, is_overdue: bool, outputs: &mut Outputs) {
         self.frames.complete(order);
         while let Some(rotation) = self.frames.take_rotation(order) {
             self.turn_camera(&rotation);
         }
         let Some(frame) = self.frames.get_mut(order) else { return };
         let stamp = frame.stamp;
-        if reason == Completion::Overdue {
+        if is_overdue {
             outputs.notices.push(Notice::Incomplete { sequence: stamp.sequence });
         }
         let Schedule::Virtual(clock) = &mut self.schedule else { return };
@@ -322,7 +335,7 @@ impl<P: Pixels> Core<P> {
         let found = frame.take_found();
         self.take_answers(outputs);
         self.publish(&stamp, found, outputs);
-        self.measure(order, Pass::Region, None, outputs);
+        self.measure(order, false, None, outputs);
         if let Schedule::Virtual(clock) = &mut self.schedule {
             clock.complete_frame(&stamp);
         }
@@ -332,12 +345,11 @@ impl<P: Pixels> Core<P> {
     fn take_answers(&mut self, outputs: &mut Outputs) {
         let Schedule::Virtual(clock) = &self.schedule else { return };
         let clock = clock.clone();
-        let is_over =
-            |(over_ns, answer): &(i64, Answer)| clock.is_over(*over_ns, answer.subject.order);
-        while self.answers.front().is_some_and(is_over)
+        while let Some((over_ns, _)) = self.answers.front()
+            && self.tracker.under_way().is_some_and(|order| clock.is_over(*over_ns, order))
             && let Some((_, answer)) = self.answers.pop_front()
         {
-            self.take_answer(answer, outputs);
+            self.take_answer(*answer, outputs);
             self.begin_background(outputs);
         }
     }
@@ -361,26 +373,27 @@ impl<P: Pixels> Core<P> {
         self.planning.end_frame(at_s, frame.purposes_without_view(), frame.first_hit());
         outputs.tracks.push(TrackMessage::last_of(frame.stamp));
         self.plan(Some(frame.stamp), outputs);
-        outputs.ended = Some(EndedFrame { taken_ns: frame.end.map(|end| end.taken_ns) });
+        outputs.taken_ns = frame.end.map(|end| end.taken_ns);
     }
 
     /// Sends estimates of a frame's targets: the one place where a pose leaves.
     fn publish(&mut self, stamp: &FrameStamp, updates: Vec<Outgoing>, outputs: &mut Outputs) {
         if let Some(frame) = self.frames.get_mut(stamp.order()) {
-            updates.iter().for_each(|((target, _), _)| frame.held.release(*target));
+            updates.iter().for_each(|((target, _), _)| drop(frame.held.best.remove(target)));
         }
         outputs.tracks.extend(TrackMessage::of(*stamp, updates));
     }
 
     fn plan(&mut self, after: Option<FrameStamp>, outputs: &mut Outputs) {
-        let next = self.planning.next(&self.tracker);
+        let plan_id = self.frames.newest_plan + 1;
+        let next = self.planning.next(&self.planner, plan_id, &self.tracker);
         self.frames.note_plan(next.plan_id, &next.plan);
         outputs.plan = Some((next, after));
     }
 }
 
 fn time_of(planning: &Planning, stamp: &FrameStamp) -> FrameTime {
-    FrameTime { order: stamp.order(), at_s: stamp.exposure_s(), number: planning.frames() }
+    FrameTime { order: stamp.order(), at_s: stamp.exposure_s(), number: planning.frames }
 }
 
 #[cfg(test)]

@@ -2,8 +2,6 @@
 
 use std::collections::BTreeMap;
 
-use serde::{Deserialize, Serialize};
-
 /// Standard deviation of a measured stretch (see
 /// [`Alignment::stretch_px2`](flockeye_imaging::align::Alignment::stretch_px2)), pixels of the
 /// sphere image squared.
@@ -24,74 +22,66 @@ const MAX_EXPOSURE_S: f64 = 0.05;
 /// a variance of (s T)^2 / 12. The lens blurs alike in all directions, so the stretch shows the
 /// path alone: T^2 / 12 is its slope over s^2.
 #[derive(Debug, Clone)]
-pub struct Exposure {
+pub(crate) struct ExposureEstimate {
     known_s: Option<f64>,
     pixels_per_radian: f64,
-    learned: LearnedExposure,
+    /// What blur has shown, over targets and frames: the sum of the stretch, radians squared, times
+    /// s^2.
+    stretch: f64,
+    /// The sum of s^4.
+    weight: f64,
     /// What the open frame adds, by target, so that the sums do not depend on who was measured
     /// first.
     pending: BTreeMap<usize, (f64, f64)>,
 }
 
-/// What blur has shown of the exposure: sums over targets and frames.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
-pub struct LearnedExposure {
-    /// Sum of the stretch, radians squared, times s^2.
-    stretch: f64,
-    /// Sum of s^4.
-    weight: f64,
-}
-
-impl Exposure {
+impl ExposureEstimate {
     /// Exposures of a camera whose sphere image has this resolution; `known_s` is the exposure
     /// where the configuration states it, seconds.
-    pub fn new(known_s: Option<f64>, pixels_per_radian: f64) -> Self {
-        let learned = LearnedExposure::default();
-        Self { known_s, pixels_per_radian, learned, pending: BTreeMap::new() }
+    pub(crate) fn new(known_s: Option<f64>, pixels_per_radian: f64) -> Self {
+        let pending = BTreeMap::new();
+        Self { known_s, pixels_per_radian, stretch: 0.0, weight: 0.0, pending }
     }
 
     /// The exposure, seconds; 0 while it is not known.
-    pub fn seconds(&self) -> f64 {
+    pub(crate) fn seconds(&self) -> f64 {
         self.known_s.or_else(|| self.learned_s()).unwrap_or_default()
     }
 
     /// What the blur shows, if it shows anything yet.
     fn learned_s(&self) -> Option<f64> {
-        let LearnedExposure { stretch, weight } = self.learned;
-        let squared = 12.0 * stretch / weight;
+        let squared = 12.0 * self.stretch / self.weight;
         let sigma_rad2 = STRETCH_SIGMA_PX2 / self.pixels_per_radian.powi(2);
-        let uncertainty = 12.0 * sigma_rad2 / weight.sqrt();
+        let uncertainty = 12.0 * sigma_rad2 / self.weight.sqrt();
         let is_known = squared > 0.0 && uncertainty < MAX_UNCERTAINTY * squared;
         is_known.then(|| squared.sqrt().min(MAX_EXPOSURE_S))
     }
 
     /// A target that moved at this rate, radians per second, was blurred along its motion by so
     /// much more than across it, pixels of the sphere image squared.
-    pub fn note(&mut self, target: usize, stretch_px2: f64, rate: f64) {
+    pub(crate) fn note(&mut self, target: usize, stretch_px2: f64, rate: f64) {
         let stretch = stretch_px2 / self.pixels_per_radian.powi(2);
         if stretch_px2 < MAX_STRETCH_PX2 && stretch.is_finite() && rate.is_finite() {
             self.pending.insert(target, (stretch, rate));
         }
     }
 
-    /// What was learned so far.
-    pub fn learned(&self) -> LearnedExposure {
-        self.learned
+    /// The sums of stretch and weight, for the process after this one.
+    pub(crate) fn learned(&self) -> (f64, f64) {
+        (self.stretch, self.weight)
     }
 
     /// Goes on from what another process has learned.
-    pub fn resume(&mut self, learned: LearnedExposure) {
-        if learned.stretch.is_finite() && learned.weight.is_finite() {
-            self.learned = learned;
+    pub(crate) fn resume(&mut self, (stretch, weight): (f64, f64)) {
+        if stretch.is_finite() && weight.is_finite() {
+            (self.stretch, self.weight) = (stretch, weight);
         }
     }
 
-    /// Ends a frame.
-    pub fn end_frame(&mut self) {
+    pub(crate) fn end_frame(&mut self) {
         for (stretch, rate) in std::mem::take(&mut self.pending).into_values() {
-            let learned = &mut self.learned;
-            learned.stretch = (1.0 - FORGETTING) * learned.stretch + stretch * rate.powi(2);
-            learned.weight = (1.0 - FORGETTING) * learned.weight + rate.powi(4);
+            self.stretch = (1.0 - FORGETTING) * self.stretch + stretch * rate.powi(2);
+            self.weight = (1.0 - FORGETTING) * self.weight + rate.powi(4);
         }
     }
 }
@@ -102,8 +92,8 @@ mod tests {
 
     const PIXELS_PER_RADIAN: f64 = 611.0;
 
-    fn seen(exposure_s: f64, rates: &[f64]) -> Exposure {
-        let mut exposure = Exposure::new(None, PIXELS_PER_RADIAN);
+    fn seen(exposure_s: f64, rates: &[f64]) -> ExposureEstimate {
+        let mut exposure = ExposureEstimate::new(None, PIXELS_PER_RADIAN);
         for (k, &rate) in rates.iter().enumerate() {
             let path_px = rate * exposure_s * PIXELS_PER_RADIAN;
             let noise = if k.is_multiple_of(2) { 0.2 } else { -0.2 };
@@ -137,7 +127,7 @@ mod tests {
 
     #[test]
     fn a_stated_exposure_is_taken_as_it_is_and_numbers_that_are_none_are_left_out() {
-        let mut exposure = Exposure::new(Some(0.007), PIXELS_PER_RADIAN);
+        let mut exposure = ExposureEstimate::new(Some(0.007), PIXELS_PER_RADIAN);
         exposure.note(0, 100.0, 1.0);
         exposure.end_frame();
         assert_eq!(exposure.seconds(), 0.007);

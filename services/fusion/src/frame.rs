@@ -1,23 +1,20 @@
 //! A frame as one value, from the first message about it until it ends: its phase, its views and
 //! records, and each target's part in it.
 
-pub mod frames;
-pub mod parts;
-pub mod places;
-pub mod plans;
-pub mod views;
+pub(crate) mod frames;
+pub(crate) mod parts;
+pub(crate) mod places;
+pub(crate) mod views;
 
 use std::collections::{BTreeMap, VecDeque};
-use std::fmt;
 use std::rc::Rc;
 
 use flockeye_contract::{FrameEnd, FrameStamp, ViewHeader};
 use flockeye_convert::purpose_of;
-use flockeye_geometry::search::{Purpose, StopRule};
+use flockeye_geometry::search::{Plan, Purpose, StopRule};
 
-use self::parts::Parts;
+use self::parts::{Part, unpublished};
 use self::places::Places;
-use self::plans::FollowedPlan;
 use self::views::{HeldViews, ViewQuality};
 use crate::output::Outgoing;
 use crate::record::Record;
@@ -26,7 +23,7 @@ use crate::work::Work;
 
 /// How far a frame has come.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Phase {
+pub(crate) enum Phase {
     /// Views, records or its end may still come.
     Open,
     /// Nothing more is waited for, and its targets are to be measured a last time.
@@ -35,58 +32,45 @@ pub enum Phase {
     Measured,
 }
 
-impl fmt::Display for Phase {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Self::Open => "open",
-            Self::Complete => "complete",
-            Self::Measured => "measured",
-        })
-    }
-}
-
 /// A frame that has not ended, with `P` the hold on a view's pixels.
 #[derive(Debug)]
-pub struct OpenFrame<P> {
-    /// Which frame.
-    pub stamp: FrameStamp,
+pub(crate) struct OpenFrame<P> {
+    pub(crate) stamp: FrameStamp,
     /// How far it has come.
-    pub phase: Phase,
+    pub(crate) phase: Phase,
     /// The views that have come, by their place in the plan.
-    pub views: BTreeMap<u32, ViewHeader>,
-    /// The views' records.
-    pub records: BTreeMap<u32, Record>,
+    pub(crate) views: BTreeMap<u32, ViewHeader>,
+    pub(crate) records: BTreeMap<u32, Record>,
     /// How rectification ended it, once it has.
-    pub end: Option<FrameEnd>,
+    pub(crate) end: Option<FrameEnd>,
     /// Views whose pixels are still needed.
-    pub held: HeldViews<P>,
+    pub(crate) held: HeldViews<P>,
     /// Views of places that look like a body.
-    pub places: Places,
-    /// Each target's part.
-    pub parts: Parts,
+    pub(crate) places: Places,
+    pub(crate) parts: Vec<Part>,
     /// The number of the plan that was followed; 0: rectification swept on its own.
     plan_id: u64,
     /// The plan that the frame follows, where this process made it.
-    plan: Option<Rc<FollowedPlan>>,
+    plan: Option<Rc<Plan>>,
     deadline_ns: i64,
-    /// Regions of interest that wait for the direct pass: their arrivals, which rise with each region
-    /// of any frame, and their places in the plan.
+    /// Regions of interest that wait for the direct pass: their arrivals, which rise with each
+    /// region of any frame, and their places in the plan.
     regions: VecDeque<(u64, u32)>,
     /// Records that wait for the corner pass over their regions, by the views' places in the plan.
-    searched: Vec<u32>,
+    pub(crate) searched: Vec<u32>,
     /// What views show whose records came before the direct pass has seen them.
-    shown: Vec<(u32, Vec<(usize, ViewQuality)>)>,
+    unseen: Vec<(u32, Vec<(usize, ViewQuality)>)>,
     /// What direct passes found, where it waits until the frame is complete.
-    found: Vec<Outgoing>,
+    pub(crate) found: Vec<Outgoing>,
 }
 
 impl<P> OpenFrame<P> {
     fn new(
         stamp: FrameStamp,
         plan_id: u64,
-        plan: Option<Rc<FollowedPlan>>,
+        plan: Option<Rc<Plan>>,
         deadline_ns: i64,
-        parts: Parts,
+        parts: Vec<Part>,
     ) -> Self {
         Self {
             stamp,
@@ -102,7 +86,7 @@ impl<P> OpenFrame<P> {
             deadline_ns,
             regions: VecDeque::new(),
             searched: Vec::new(),
-            shown: Vec::new(),
+            unseen: Vec::new(),
             found: Vec::new(),
         }
     }
@@ -133,21 +117,20 @@ impl<P> OpenFrame<P> {
 
     /// Why a view was cut: as planned or, where rectification followed no plan of this process, as
     /// the view itself states.
-    pub fn purpose_of(&self, view_index: u32) -> Option<Purpose> {
+    pub(crate) fn purpose_of(&self, view_index: u32) -> Option<Purpose> {
         match &self.plan {
-            Some(plan) => plan.purposes.get(view_index as usize).copied(),
+            Some(plan) => plan.views.get(view_index as usize).map(|view| view.purpose),
             None => self.views.get(&view_index).and_then(purpose_of),
         }
     }
 
-    /// When its search stops.
-    pub fn stop_rule(&self) -> StopRule {
+    pub(crate) fn stop_rule(&self) -> StopRule {
         self.plan.as_ref().map_or(StopRule::All, |plan| plan.stop_rule)
     }
 
-    /// The views whose records count, in plan order. With the rule `first_hit` those up to the first
-    /// hit: how many workers had searched beyond it depends on time.
-    pub fn counted_views(&self) -> impl Iterator<Item = u32> {
+    /// The views whose records count, in plan order. With the rule `first_hit` those up to the
+    /// first hit: how many workers had searched beyond it depends on time.
+    pub(crate) fn counted_views(&self) -> impl Iterator<Item = u32> {
         let mut records = self.records.iter();
         let is_last =
             |record: &Record| self.stop_rule() == StopRule::FirstHit && record.header.hits > 0;
@@ -156,13 +139,13 @@ impl<P> OpenFrame<P> {
     }
 
     /// Why those views were cut that were searched and have not come here.
-    pub fn purposes_without_view(&self) -> impl Iterator<Item = Purpose> {
+    pub(crate) fn purposes_without_view(&self) -> impl Iterator<Item = Purpose> {
         let missing = self.records.keys().filter(|index| !self.views.contains_key(index));
         missing.filter_map(|index| self.purpose_of(*index))
     }
 
     /// Why the first view was cut in which a marker was found.
-    pub fn first_hit(&self) -> Option<Purpose> {
+    pub(crate) fn first_hit(&self) -> Option<Purpose> {
         let mut records = self.records.iter();
         let (view_index, _) = records.find(|(_, record)| record.header.hits > 0)?;
         self.purpose_of(*view_index)
@@ -170,7 +153,11 @@ impl<P> OpenFrame<P> {
 
     /// How well a view shows the `targets` that it is the region of, or shows markers of. Targets
     /// whose pose in the frame has left need no view.
-    pub fn shown(&self, view_index: u32, targets: &[Target]) -> Vec<(usize, ViewQuality)> {
+    pub(crate) fn qualities(
+        &self,
+        view_index: u32,
+        targets: &[Target],
+    ) -> Vec<(usize, ViewQuality)> {
         let (Some(record), Some(view)) =
             (self.records.get(&view_index), self.views.get(&view_index))
         else {
@@ -184,48 +171,21 @@ impl<P> OpenFrame<P> {
             let quality = ViewQuality::of(record, view, body, is_own, is_tracked, stop_rule)?;
             Some((number, quality))
         };
-        self.parts.unpublished().filter_map(quality).collect()
-    }
-
-    /// Has the corner pass run over a record.
-    pub fn note_searched(&mut self, view_index: u32) {
-        self.searched.push(view_index);
-    }
-
-    /// Takes out the records that wait for the corner pass over their regions, by the views' places
-    /// in the plan.
-    pub fn take_searched(&mut self) -> Vec<u32> {
-        std::mem::take(&mut self.searched)
-    }
-
-    /// Keeps what the direct pass found until the frame is complete.
-    pub fn keep_found(&mut self, found: Vec<Outgoing>) {
-        self.found.extend(found);
+        unpublished(&self.parts).filter_map(quality).collect()
     }
 
     /// Takes out what direct passes found, by target: the order must not depend on who was faster.
-    pub fn take_found(&mut self) -> Vec<Outgoing> {
+    pub(crate) fn take_found(&mut self) -> Vec<Outgoing> {
         let mut found = std::mem::take(&mut self.found);
         found.sort_by_key(|((target, _), _)| *target);
         found
     }
 
     /// What `by` makes of the frame and of the targets' parts in it, which it may change.
-    pub fn with_parts<T>(&mut self, by: impl FnOnce(&Self, &mut Parts) -> T) -> T {
+    pub(crate) fn with_parts<T>(&mut self, by: impl FnOnce(&Self, &mut [Part]) -> T) -> T {
         let mut parts = std::mem::take(&mut self.parts);
         let made = by(self, &mut parts);
         self.parts = parts;
         made
-    }
-}
-
-impl<P> fmt::Display for OpenFrame<P> {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "frame {}, {}", self.stamp.sequence, self.phase)?;
-        let (views, records) = (self.views.len(), self.records.len());
-        match self.end {
-            Some(end) => write!(f, ": {records} of {} views searched", end.views_issued),
-            None => write!(f, ": {views} views, {records} searched, not ended"),
-        }
     }
 }

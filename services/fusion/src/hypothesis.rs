@@ -8,10 +8,11 @@ use nalgebra::Isometry3;
 #[derive(Debug, Clone, PartialEq)]
 pub struct Hypothesis {
     /// Source of the start.
-    pub source: Source,
+    pub source: StartSource,
     /// What alignment found, or why it found nothing.
     pub found: Result<Alignment, AlignError>,
-    /// What the turn from the track's prediction adds to the log odds; `None` without a confirmed track.
+    /// What the turn from the track's prediction adds to the log odds; `None` without a confirmed
+    /// track.
     pub turn_log: Option<f64>,
     /// What is known of how neighbours fly adds to the log odds, where hypotheses compete.
     pub tilt_log: f64,
@@ -21,7 +22,7 @@ pub struct Hypothesis {
 
 /// Where a hypothesis comes from.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Source {
+pub enum StartSource {
     /// Corners of decoded markers.
     Corners,
     /// Corners of squares that are probably markers.
@@ -42,13 +43,13 @@ pub enum Source {
 
 impl Hypothesis {
     /// A pose of which nothing is known but what alignment found.
-    pub fn of(source: Source, found: Result<Alignment, AlignError>) -> Self {
+    pub fn of(source: StartSource, found: Result<Alignment, AlignError>) -> Self {
         Self { source, found, turn_log: None, tilt_log: 0.0, is_marked: false }
     }
 
     /// A pose, and whether markers were decoded where it has them.
-    pub fn marked(
-        source: Source,
+    pub(crate) fn marked(
+        source: StartSource,
         found: Result<Alignment, AlignError>,
         is_marked: impl Fn(&Isometry3<f64>) -> bool,
     ) -> Self {
@@ -56,8 +57,7 @@ impl Hypothesis {
         Self { is_marked, ..Self::of(source, found) }
     }
 
-    /// What alignment found.
-    pub fn alignment(&self) -> Option<&Alignment> {
+    pub(crate) fn alignment(&self) -> Option<&Alignment> {
         self.found.as_ref().ok()
     }
 

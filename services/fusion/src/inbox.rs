@@ -3,24 +3,14 @@
 use std::collections::VecDeque;
 
 use flockeye_config::{Flow, Pipeline};
-use flockeye_contract::{
-    DetectionHeader, Detections, FrameEnd, FrameEnds, FrameOrder, Rotations, StageName, Views,
-};
+use flockeye_contract::{Detections, FrameEnd, FrameEnds, FrameOrder, Rotations, StageName, Views};
 use flockeye_runtime::ports::{Message, PortError, Ports, Sender, Subscriber};
 
 use crate::core::{Core, Event};
-use crate::journal::Journaled;
-use crate::pictures::Pixels;
 use crate::record::Record;
 
-impl Pixels for Message<Views> {
-    fn pixels(&self) -> &[u8] {
-        self.items()
-    }
-}
-
 /// The ports that fusion reads.
-pub struct Inbox {
+pub(crate) struct Inbox {
     /// One lane for each detection worker.
     views: Vec<Subscriber<Views>>,
     detections: Subscriber<Detections>,
@@ -29,27 +19,16 @@ pub struct Inbox {
     flow: Flow,
     /// Records of a lossless run that came before their views.
     early: Vec<(Record, Sender)>,
-    turns: AwaitedTurns,
-}
-
-/// Ends of frames of a lossless run, which wait until it is known how the camera has turned.
-struct AwaitedTurns {
-    /// Whether the ends of frames wait at all: in a lossless run with egomotion.
-    waits: bool,
+    /// Ends of frames, with when each came, nanoseconds, and its sender.
+    ends: VecDeque<(i64, FrameEnd, Sender)>,
+    /// Whether the ends wait until it is known how the camera has turned: in a lossless run with
+    /// egomotion.
+    awaits_rotations: bool,
     /// Whether egomotion was waited for in vain, and nothing has come from it since.
-    is_away: bool,
+    is_egomotion_away: bool,
     patience_ns: i64,
     /// The newest frame whose rotation has come.
-    newest: Option<FrameOrder>,
-    ends: VecDeque<AwaitingEnd>,
-}
-
-/// The end of a frame, when it came, nanoseconds, and its sender.
-#[derive(Debug, Clone, Copy)]
-struct AwaitingEnd {
-    end: FrameEnd,
-    since_ns: i64,
-    sender: Sender,
+    newest_rotation: Option<FrameOrder>,
 }
 
 impl Inbox {
@@ -57,7 +36,7 @@ impl Inbox {
     ///
     /// # Errors
     /// A port that cannot be opened.
-    pub fn open(ports: &mut Ports, pipeline: &Pipeline) -> Result<Self, PortError> {
+    pub(crate) fn open(ports: &mut Ports, pipeline: &Pipeline) -> Result<Self, PortError> {
         Ok(Self {
             views: ports.subscribers_of_all_lanes()?,
             detections: ports.subscriber()?,
@@ -65,14 +44,13 @@ impl Inbox {
             rotations: ports.subscriber()?,
             flow: pipeline.flow(),
             early: Vec::new(),
-            turns: AwaitedTurns {
-                waits: pipeline.flow() == Flow::Lossless && pipeline.runs(StageName::Egomotion),
-                is_away: false,
-                // A frame itself is given up later.
-                patience_ns: pipeline.frame_deadline().as_nanos() as i64 / 2,
-                newest: None,
-                ends: VecDeque::new(),
-            },
+            ends: VecDeque::new(),
+            awaits_rotations: pipeline.flow() == Flow::Lossless
+                && pipeline.runs(StageName::Egomotion),
+            is_egomotion_away: false,
+            // A frame itself is given up later.
+            patience_ns: pipeline.frame_deadline().as_nanos() as i64 / 2,
+            newest_rotation: None,
         })
     }
 
@@ -81,7 +59,7 @@ impl Inbox {
     ///
     /// # Errors
     /// A port that fails.
-    pub fn connect(&self) -> Result<bool, PortError> {
+    pub(crate) fn connect(&self) -> Result<bool, PortError> {
         let lanes: Result<Vec<bool>, _> = self.views.iter().map(Subscriber::connect).collect();
         Ok(lanes?.iter().all(|is_published| *is_published))
     }
@@ -94,9 +72,9 @@ impl Inbox {
     ///
     /// # Errors
     /// A port that fails.
-    pub fn receive(
+    pub(crate) fn receive(
         &mut self,
-        core: &mut Journaled<Message<Views>>,
+        core: &mut Core<Message<Views>>,
         now_ns: i64,
     ) -> Result<(), PortError> {
         self.take_all_views(core, now_ns)?;
@@ -116,14 +94,14 @@ impl Inbox {
         }
         self.take_all_views(core, now_ns)?;
         while let Some(message) = self.rotations.receive()? {
-            self.turns.note(message.header.stamp.order());
+            self.is_egomotion_away = false;
+            self.newest_rotation = self.newest_rotation.max(Some(message.header.stamp.order()));
             core.on(Event::Rotation(message.header), now_ns);
         }
         while let Some(message) = self.frame_ends.receive()? {
-            let (end, sender) = (message.header, message.sender());
-            self.turns.ends.push_back(AwaitingEnd { end, since_ns: now_ns, sender });
+            self.ends.push_back((now_ns, message.header, message.sender()));
         }
-        while let Some(AwaitingEnd { end, sender, .. }) = self.turns.take(now_ns) {
+        while let Some((end, sender)) = self.take_end(now_ns) {
             if let Some(refusal) = core.on(Event::FrameEnd(end), now_ns) {
                 self.frame_ends.refuse(sender, &refusal);
             }
@@ -132,31 +110,30 @@ impl Inbox {
     }
 
     /// When a frame will have waited long enough for its rotation, nanoseconds.
-    pub fn next_deadline_ns(&self) -> Option<i64> {
-        self.turns.next_deadline_ns()
+    pub(crate) fn next_deadline_ns(&self) -> Option<i64> {
+        self.ends.front().map(|(since_ns, ..)| since_ns + self.patience_ns)
     }
 
     fn take_all_views(
         &mut self,
-        core: &mut Journaled<Message<Views>>,
+        core: &mut Core<Message<Views>>,
         now_ns: i64,
     ) -> Result<(), PortError> {
         if self.flow == Flow::Lossless {
             return Ok(());
         }
         (0..self.views.len())
-            .try_for_each(|lane| self.take_views(core, lane, now_ns, |core| core.is_full()))
+            .try_for_each(|lane| self.take_views(core, lane, now_ns, |core| core.frames.is_full()))
     }
 
     /// Takes the view of a record, which passed before it in its worker's lane.
     fn take_view_of(
         &mut self,
-        core: &mut Journaled<Message<Views>>,
+        core: &mut Core<Message<Views>>,
         record: &Record,
         now_ns: i64,
     ) -> Result<(), PortError> {
-        let DetectionHeader { worker, .. } = record.header;
-        let lane = worker as usize;
+        let lane = record.header.worker as usize;
         if lane >= self.views.len() {
             return Ok(());
         }
@@ -166,7 +143,7 @@ impl Inbox {
     /// Takes the views that have come in a lane, until `is_enough`.
     fn take_views(
         &mut self,
-        core: &mut Journaled<Message<Views>>,
+        core: &mut Core<Message<Views>>,
         lane: usize,
         now_ns: i64,
         is_enough: impl Fn(&Core<Message<Views>>) -> bool,
@@ -181,38 +158,27 @@ impl Inbox {
         }
         Ok(())
     }
-}
 
-impl AwaitedTurns {
-    /// The rotation of a frame has come.
-    fn note(&mut self, order: FrameOrder) {
-        self.is_away = false;
-        self.newest = self.newest.max(Some(order));
-    }
-
-    /// The next end of a frame that need not wait any more. Who once waited in vain waits no more
-    /// until a rotation comes.
-    fn take(&mut self, now_ns: i64) -> Option<AwaitingEnd> {
-        let AwaitingEnd { end, since_ns, .. } = *self.ends.front()?;
-        let is_known = self.newest >= Some(end.stamp.order());
-        if self.waits && !self.is_away && !is_known {
+    /// The next end of a frame that need not wait any more. After a wait in vain no end waits until
+    /// a rotation comes.
+    fn take_end(&mut self, now_ns: i64) -> Option<(FrameEnd, Sender)> {
+        let (since_ns, end, sender) = *self.ends.front()?;
+        let is_known = self.newest_rotation >= Some(end.stamp.order());
+        if self.awaits_rotations && !self.is_egomotion_away && !is_known {
             if now_ns - since_ns < self.patience_ns {
                 return None;
             }
-            self.is_away = true;
+            self.is_egomotion_away = true;
             let frame = end.stamp.sequence;
             tracing::warn!(frame, "no rotation of the camera has come: egomotion is away");
         }
-        self.ends.pop_front()
-    }
-
-    fn next_deadline_ns(&self) -> Option<i64> {
-        self.ends.front().map(|awaiting| awaiting.since_ns + self.patience_ns)
+        self.ends.pop_front();
+        Some((end, sender))
     }
 }
 
 /// Whether a record's view is still on its way here: rectification had handed it to the worker
 /// before, while it waited for room in this stage's lane.
 fn is_early(core: &Core<Message<Views>>, record: &Record) -> bool {
-    !core.has_view_of(record) && !core.has_ended(&record.header.stamp)
+    !core.has_view_of(record) && !core.frames.is_past(&record.header.stamp)
 }

@@ -1,18 +1,16 @@
 //! A journal of all that happens to the core, so that a flight can be repeated from a recording.
 //!
-//! What the core says is a function of what it was given, of the order, and of the times that it was told.
-//! [`Journaled`] is the only way to the core in flight, so no call can be left out. A step that found nothing
-//! to do changes nothing, and is not noted.
+//! What the core says is a function of what it was given, of the order, and of the times that it
+//! was told. The core itself notes each call, so none can be left out. A step that found nothing to
+//! do changes nothing, and is not noted.
 
 use std::collections::VecDeque;
-use std::ops::Deref;
 
 use flockeye_contract::{
     FrameStamp, JournalEntry, JournalHeader, JournalKind, MAX_JOURNAL_ENTRIES,
 };
 
-use crate::core::{Core, Event, Outputs, Refusal};
-use crate::pictures::Pixels;
+use crate::core::events::Event;
 
 /// What an event is in a journal.
 pub fn entry_of<P>(event: &Event<P>, at_ns: i64) -> JournalEntry {
@@ -54,7 +52,8 @@ pub struct Journal {
     is_resumed: bool,
     /// Whether somebody reads.
     is_read: bool,
-    /// Whether the core has heard anything of another stage. What comes before is kept for the first reader.
+    /// Whether the core has heard anything of another stage. What comes before is kept for the
+    /// first reader.
     has_heard: bool,
     /// All entries so far, kept or not.
     count: u64,
@@ -103,12 +102,17 @@ impl Journal {
         }
     }
 
-    fn note_event<P>(&mut self, event: &Event<P>, at_ns: i64) {
+    pub(crate) fn note_event<P>(&mut self, event: &Event<P>, at_ns: i64) {
         self.has_heard = true;
         self.note(|| entry_of(event, at_ns));
     }
 
-    fn note_work(&mut self, kind: JournalKind, at_ns: i64, (tracks, plans): (usize, usize)) {
+    pub(crate) fn note_work(
+        &mut self,
+        kind: JournalKind,
+        at_ns: i64,
+        (tracks, plans): (usize, usize),
+    ) {
         self.note(|| JournalEntry {
             at_ns,
             kind: kind.code(),
@@ -116,55 +120,6 @@ impl Journal {
             plans: plans as u32,
             ..JournalEntry::default()
         });
-    }
-}
-
-/// A core whose calls are noted. What only asks it goes past the journal.
-pub struct Journaled<P> {
-    core: Core<P>,
-    journal: Journal,
-}
-
-impl<P> Deref for Journaled<P> {
-    type Target = Core<P>;
-
-    fn deref(&self) -> &Core<P> {
-        &self.core
-    }
-}
-
-impl<P: Pixels> Journaled<P> {
-    /// A core that has heard nothing yet.
-    pub fn new(core: Core<P>, journal: Journal) -> Self {
-        Self { core, journal }
-    }
-
-    /// As [`Core::on`].
-    pub fn on(&mut self, event: Event<P>, now_ns: i64) -> Option<Refusal> {
-        self.journal.note_event(&event, now_ns);
-        self.core.on(event, now_ns)
-    }
-
-    /// As [`Core::step`].
-    pub fn step(&mut self, now_ns: i64) -> Outputs {
-        let outputs = self.core.step(now_ns);
-        if outputs.has_worked() {
-            self.journal.note_work(JournalKind::Step, now_ns, (0, 0));
-        }
-        outputs
-    }
-
-    /// Notes that what the last step led to is written for the time `now_ns`.
-    pub fn say(&mut self, outputs: &Outputs, now_ns: i64) {
-        let messages = outputs.messages();
-        if messages != (0, 0) {
-            self.journal.note_work(JournalKind::Said, now_ns, messages);
-        }
-    }
-
-    /// The journal.
-    pub fn journal(&mut self) -> &mut Journal {
-        &mut self.journal
     }
 }
 

@@ -1,8 +1,8 @@
 //! Stage: detections to tracks, and plans for where to look next.
 //!
-//! It takes views, detections, rotations and frame ends; it gives tracks and plans. Between frames it keeps a
-//! filter for each target and what was searched when. The core is pure: events with their times go
-//! in, messages come out. The stage around it moves messages.
+//! It takes views, detections, rotations and frame ends; it gives tracks and plans. Between frames
+//! it keeps a filter for each target and what was searched when. The core is pure: events with
+//! their times go in, messages come out. The stage around it moves messages.
 //!
 //! | module | what it does |
 //! | --- | --- |
@@ -17,7 +17,7 @@
 //! | [`tracker`] | all targets; the one place where a measurement enters a track |
 //! | [`target`] | one neighbour: its body and its track |
 //! | [`track_prior`] | what a track says of a target before a frame measures it |
-//! | [`measure`] | the measurement pass, with a table of what differs between its kinds |
+//! | [`measure`] | the measurement pass, with what differs between its kinds |
 //! | [`aligner`] | tries poses: aligns bodies with pictures |
 //! | [`hypothesis`] | poses that were tried |
 //! | [`decide`] | all decisions about them |
@@ -72,15 +72,14 @@ pub use self::account::{AccountEntry, NotRun, Pass, Trial};
 pub use self::background_runner::BackgroundRunner;
 pub use self::core::{Core, Event, Outputs};
 pub use self::decide::outcome::Outcome;
-pub use self::decide::{Choice, Decision, Verdict};
-pub use self::hypothesis::{CornerPose, CornerVerdict, Hypothesis, Source};
-pub use self::journal::{Journal, Journaled, entry_of};
-pub use self::measurement::{MeasuredBy, Measurement, PoseEstimate, candidate_rays, decoded_rays};
+pub use self::decide::{Decision, PoseIndex, Verdict};
+pub use self::hypothesis::{CornerPose, CornerVerdict, Hypothesis, StartSource};
+pub use self::journal::{Journal, entry_of};
+pub use self::measurement::{PoseMeasurement, candidate_rays, decoded_rays};
 pub use self::output::Writer;
-pub use self::pictures::Pixels;
 pub use self::policy::TimeBudget;
 pub use self::record::Record;
-pub use self::settings::{Configured, configured};
+pub use self::settings::configured;
 pub use self::track_prior::TrackPrior;
 
 // For benchmarks.

@@ -1,37 +1,19 @@
 //! What a frame says of one body: corners as rays, and a measured pose.
 
-use flockeye_contract::DetectedMarker;
+use flockeye_contract::{DetectedMarker, MeasuredBy};
 use flockeye_geometry::Ray;
 use flockeye_geometry::body::Body;
-use flockeye_geometry::pose::{CornerRay, PoseOptions, solve};
+use flockeye_geometry::pose::{CornerRay, PoseEstimate, solve};
 use flockeye_geometry::view::{View, ViewPixel};
 use flockeye_imaging::align::Alignment;
-use nalgebra::{Isometry3, Matrix6, Unit, Vector2, Vector3};
-
-/// A pose with its covariance.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct PoseEstimate {
-    /// The pose of the markers in the camera frame.
-    pub camera_from_markers: Isometry3<f64>,
-    /// Covariance of position (m), then rotation vector (rad), in the camera frame's axes.
-    pub covariance: Matrix6<f64>,
-}
-
-/// How a pose was measured.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum MeasuredBy {
-    /// From the corners of decoded markers.
-    Decoded,
-    /// By the whole body's alignment with the image.
-    Aligned,
-}
+use nalgebra::{Unit, Vector2, Vector3};
 
 /// A pose of a body, measured in one frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Measurement {
+pub struct PoseMeasurement {
     /// The pose.
     pub pose: PoseEstimate,
-    /// What it was measured by.
+    /// What it was measured by, never [`MeasuredBy::Nothing`].
     pub measured_by: MeasuredBy,
     /// How many markers of the body were decoded.
     pub markers: u32,
@@ -40,9 +22,9 @@ pub struct Measurement {
     pub is_precise: bool,
 }
 
-impl Measurement {
+impl PoseMeasurement {
     /// An alignment's result, with so many markers decoded.
-    pub fn aligned(found: &Alignment, markers: u32) -> Self {
+    pub(crate) fn aligned(found: &Alignment, markers: u32) -> Self {
         let pose = PoseEstimate {
             camera_from_markers: found.camera_from_markers,
             covariance: found.covariance,
@@ -68,14 +50,16 @@ pub fn candidate_rays<'m>(
     own_rays(body, markers.into_iter().filter(|marker| !marker.is_decoded()))
 }
 
-/// Most markers that agree with one pose of `body`, of squares that are probably its markers: at least two, or none.
+/// Most markers that agree with one pose of `body`, of squares that are probably its markers: at
+/// least two, or none.
 ///
-/// One square has a best guess in any clutter. Two that lie to each other as on the body do not come by chance.
-pub fn agreeing_candidates(body: &Body, rays: &[CornerRay]) -> u32 {
+/// One square has a best guess in any clutter. Two that lie to each other as on the body do not
+/// come by chance.
+pub(crate) fn agreeing_candidates(body: &Body, rays: &[CornerRay]) -> u32 {
     if marker_ids(rays).len() < 2 {
         return 0;
     }
-    let solutions = solve(body, rays, &PoseOptions::default()).unwrap_or_default();
+    let solutions = solve(body, rays).unwrap_or_default();
     let agreeing = solutions.iter().map(|solution| solution.inlier_markers.len() as u32);
     agreeing.filter(|markers| *markers >= 2).max().unwrap_or(0)
 }
@@ -98,7 +82,7 @@ fn ray(components: [f64; 3]) -> Ray {
 }
 
 /// Ids of the markers that these are corners of, in their order.
-pub fn marker_ids(rays: &[CornerRay]) -> Vec<u32> {
+pub(crate) fn marker_ids(rays: &[CornerRay]) -> Vec<u32> {
     let mut ids: Vec<u32> = rays.iter().map(|ray| ray.marker_id).collect();
     ids.sort_unstable();
     ids.dedup();
@@ -109,7 +93,7 @@ pub fn marker_ids(rays: &[CornerRay]) -> Vec<u32> {
 const RAY_TOLERANCE_RAD: f64 = 1e-3;
 
 /// Whether a marker's rays are those of its corners in the view that was searched.
-pub fn agrees_with_view(marker: &DetectedMarker, view: &View) -> bool {
+pub(crate) fn agrees_with_view(marker: &DetectedMarker, view: &View) -> bool {
     marker.corners_in_view.iter().zip(&marker.rays_in_camera).all(|(&[u, v], &stated)| {
         let seen = view.ray(ViewPixel(Vector2::new(f64::from(u), f64::from(v))));
         seen.angle(&ray(stated)) < RAY_TOLERANCE_RAD
@@ -119,13 +103,12 @@ pub fn agrees_with_view(marker: &DetectedMarker, view: &View) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::fixtures::facing_markers;
-    use flockeye_geometry::body::squares;
+    use crate::fixtures::{alpha, bravo, facing_markers};
+    use nalgebra::Isometry3;
 
     #[test]
     fn markers_of_other_bodies_are_left_out() {
-        let (alpha, bravo) =
-            (squares("alpha", 0.0625, 0.05, 0), squares("bravo", 0.0625, 0.05, 17));
+        let (alpha, bravo) = (alpha(), bravo());
         let pose = Isometry3::translation(1.0, 0.0, 0.0);
         assert!(decoded_rays(&bravo, &facing_markers(&alpha, &pose, 8)).is_empty());
     }

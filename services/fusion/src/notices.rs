@@ -1,64 +1,41 @@
 //! What an operator should know: counted each time, logged seldom.
 
+use std::collections::HashMap;
+use std::mem::{Discriminant, discriminant};
+
 use flockeye_runtime::health::SharedCounters;
 use flockeye_runtime::logs::Throttle;
 
-use crate::refusal::Refusal;
-
 /// Something that an operator should know.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub enum Notice {
+pub(crate) enum Notice {
     /// A worker's rays are not those of its corners, so its markers were left out.
     RaysDisagree {
-        /// Number of the worker.
         worker: u32,
         /// The first such marker.
         marker: u32,
     },
     /// A marker that no configured body carries.
-    UnknownMarker {
-        /// Its id.
-        marker: u32,
-    },
+    UnknownMarker { marker: u32 },
     /// A frame was not completed in time.
-    Incomplete {
-        /// Its sequence number.
-        sequence: u64,
-    },
+    Incomplete { sequence: u64 },
     /// A record came too late.
     LateRecord,
-    /// A message that cannot be true.
-    Refused(Refusal),
+    /// A message that cannot be true, and why.
+    Refused(String),
 }
 
-/// Counts notices and logs them.
-#[derive(Debug)]
-pub struct Reporter {
-    counters: SharedCounters,
-    disagreements: Throttle,
-    unknown_markers: Throttle,
-    incomplete: Throttle,
-    refusals: Throttle,
-}
+/// How often each kind of notice is logged.
+pub(crate) type Throttles = HashMap<Discriminant<Notice>, Throttle>;
 
-impl Reporter {
-    /// Counts in `counters`.
-    pub fn new(counters: SharedCounters) -> Self {
-        Self {
-            counters,
-            disagreements: Throttle::default(),
-            unknown_markers: Throttle::default(),
-            incomplete: Throttle::default(),
-            refusals: Throttle::default(),
-        }
-    }
-
-    /// Counts a notice, and logs it if nothing of its kind was logged a moment ago.
-    pub fn report(&mut self, notice: &Notice) {
-        match *notice {
-            Notice::RaysDisagree { worker, marker } => {
-                self.counters.add_failed(1);
-                if let Some(more) = self.disagreements.admit() {
+impl Notice {
+    /// Counts the notice, and logs it if nothing of its kind was logged a moment ago.
+    pub(crate) fn report(&self, counters: &SharedCounters, throttles: &mut Throttles) {
+        let throttle = throttles.entry(discriminant(self)).or_default();
+        match self {
+            Self::RaysDisagree { worker, marker } => {
+                counters.add_failed(1);
+                if let Some(more) = throttle.admit() {
                     tracing::warn!(
                         worker,
                         marker,
@@ -68,8 +45,8 @@ impl Reporter {
                     );
                 }
             }
-            Notice::UnknownMarker { marker } => {
-                if let Some(more) = self.unknown_markers.admit() {
+            Self::UnknownMarker { marker } => {
+                if let Some(more) = throttle.admit() {
                     tracing::info!(
                         marker,
                         more_since = more,
@@ -77,9 +54,9 @@ impl Reporter {
                     );
                 }
             }
-            Notice::Incomplete { sequence } => {
-                self.counters.add_failed(1);
-                if let Some(more) = self.incomplete.admit() {
+            Self::Incomplete { sequence } => {
+                counters.add_failed(1);
+                if let Some(more) = throttle.admit() {
                     tracing::warn!(
                         frame = sequence,
                         more_since = more,
@@ -87,10 +64,10 @@ impl Reporter {
                     );
                 }
             }
-            Notice::LateRecord => self.counters.add_dropped(1),
-            Notice::Refused(refusal) => {
-                self.counters.add_failed(1);
-                if let Some(more) = self.refusals.admit() {
+            Self::LateRecord => counters.add_dropped(1),
+            Self::Refused(refusal) => {
+                counters.add_failed(1);
+                if let Some(more) = throttle.admit() {
                     tracing::warn!(
                         more_since = more,
                         "a message is refused: {refusal}. Cure: mend the stage that sends it; \

@@ -6,27 +6,27 @@ use flockeye_config::Flow;
 use flockeye_contract as contract;
 use flockeye_contract::{
     FrameStamp, MeasuredBy, NONE, PlanHeader, Pose, StageLatency, Track, TrackHeader, TrackState,
-    ViewHeader, ViewKind,
+    ViewKind,
 };
 use flockeye_convert::{pose, row_major, search_code, stop_rule, xyzw};
 use flockeye_geometry::body::{Bodies, Body};
-use flockeye_geometry::filter::{self, Prediction};
-use flockeye_geometry::search::{PlannedView, Purpose, Search};
+use flockeye_geometry::filter::{self, MotionEstimate};
+use flockeye_geometry::pose::PoseEstimate;
+use flockeye_geometry::search::{Purpose, Search, SearchView};
 use flockeye_runtime::memory::MAX_TRACKS;
 use nalgebra::{Isometry3, Matrix3, Matrix6, Vector3};
 
-use crate::measurement::{self, PoseEstimate};
 use crate::planning::NextPlan;
 use crate::record::Record;
 use crate::target::{TargetEstimate, Update};
 use crate::tracker::Tracker;
 
 /// An estimate that leaves, and what led to it.
-pub type Outgoing = (Update, Cause);
+pub(crate) type Outgoing = (Update, Cause);
 
 /// When the views that led to an estimate were cut and searched, nanoseconds of CLOCK_MONOTONIC.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Cause {
+pub(crate) enum Cause {
     /// A view that was not searched yet.
     View {
         /// When it was handed out.
@@ -44,13 +44,8 @@ pub enum Cause {
 }
 
 impl Cause {
-    /// The cause of a pose from a view alone.
-    pub fn of_view(view: &ViewHeader) -> Self {
-        Self::View { issued_ns: view.issued_ns }
-    }
-
     /// The cause of a pose from records: the last one that shows a marker of `body`.
-    pub fn of_records(records: &[&Record], body: &Body) -> Self {
+    pub(crate) fn of_records(records: &[&Record], body: &Body) -> Self {
         let shows = |record: &&&Record| {
             let mut decoded = record.markers.iter().filter(|marker| marker.is_decoded());
             decoded.any(|marker| body.marker(marker.id).is_some())
@@ -69,14 +64,14 @@ pub struct TrackMessage {
     /// The frame.
     pub stamp: FrameStamp,
     /// The estimates, at most [`MAX_TRACKS`].
-    pub updates: Vec<Outgoing>,
+    pub(crate) updates: Vec<Outgoing>,
     /// Whether this is the last message about the frame.
     pub is_last: bool,
 }
 
 impl TrackMessage {
     /// Packs estimates into as few messages as they need.
-    pub fn of(stamp: FrameStamp, updates: Vec<Outgoing>) -> impl Iterator<Item = Self> {
+    pub(crate) fn of(stamp: FrameStamp, updates: Vec<Outgoing>) -> impl Iterator<Item = Self> {
         let mut updates = updates.into_iter().peekable();
         std::iter::from_fn(move || {
             updates.peek()?;
@@ -86,7 +81,7 @@ impl TrackMessage {
     }
 
     /// The message that ends a frame.
-    pub fn last_of(stamp: FrameStamp) -> Self {
+    pub(crate) fn last_of(stamp: FrameStamp) -> Self {
         Self { stamp, updates: Vec::new(), is_last: true }
     }
 }
@@ -94,16 +89,14 @@ impl TrackMessage {
 /// Writes messages for one observer.
 #[derive(Debug)]
 pub struct Writer {
-    /// The configured bodies.
-    pub bodies: Bodies,
+    pub(crate) bodies: Bodies,
     /// Where the camera sits on the observer.
-    pub observer_from_camera: Isometry3<f64>,
+    pub(crate) observer_from_camera: Isometry3<f64>,
     /// How frames flow: in a lossless run exposures have another clock than the stages.
-    pub flow: Flow,
-    /// The configured search mode.
-    pub mode: contract::SearchMode,
+    pub(crate) flow: Flow,
+    pub(crate) mode: contract::SearchMode,
     /// How often this stage has been started.
-    pub generation: u32,
+    pub(crate) generation: u32,
 }
 
 impl Writer {
@@ -149,7 +142,7 @@ impl Writer {
     fn with_prediction(
         &self,
         track: Track,
-        predicted: &Prediction,
+        predicted: &MotionEstimate,
         predicted_ns: i64,
         body: &Body,
     ) -> Track {
@@ -230,11 +223,7 @@ fn track(
     let (observer_from_target, covariance) = mounted(&estimate.pose, body, observer_from_camera);
     let measured =
         estimate.measured.map(|(measured, _)| mounted(&measured, body, observer_from_camera));
-    let measured_by = match estimate.measured {
-        None => MeasuredBy::Nothing,
-        Some((_, measurement::MeasuredBy::Decoded)) => MeasuredBy::Decoded,
-        Some((_, measurement::MeasuredBy::Aligned)) => MeasuredBy::Aligned,
-    };
+    let measured_by = estimate.measured.map_or(MeasuredBy::Nothing, |(_, by)| by);
     let turn: Matrix3<f64> = observer_from_camera.rotation.to_rotation_matrix().into_inner();
     let offset = estimate.pose.camera_from_markers.rotation
         * body.target_from_markers.inverse().translation.vector;
@@ -272,8 +261,8 @@ fn nanoseconds(seconds: f64) -> i64 {
 }
 
 fn planned_view(
-    planned: &PlannedView,
-    predictions: &BTreeMap<usize, Prediction>,
+    planned: &SearchView,
+    predictions: &BTreeMap<usize, MotionEstimate>,
     reference_ns: i64,
     search: Search,
 ) -> contract::PlannedView {
@@ -326,7 +315,7 @@ fn latency(flow: Flow, stamp: &FrameStamp, cause: Cause, now_ns: i64) -> StageLa
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
-    use flockeye_geometry::body::squares;
+    use crate::fixtures::alpha;
     use nalgebra::{Translation3, UnitQuaternion, Vector6};
 
     fn transform(x: f64, y: f64, z: f64, roll: f64, pitch: f64, yaw: f64) -> Isometry3<f64> {
@@ -339,7 +328,7 @@ mod tests {
     /// The covariance's Jacobian against differences of the transform itself.
     #[test]
     fn mounts_transform_the_covariance() {
-        let mut body = squares("alpha", 0.0625, 0.05, 0);
+        let mut body = alpha();
         body.target_from_markers = transform(0.1, -0.2, 0.3, 0.3, 0.2, 0.1);
         let observer_from_camera = transform(1.0, 2.0, 3.0, -0.4, 0.5, 0.6);
         let at = transform(0.5, 0.6, -0.7, 1.0, -0.3, 2.0);

@@ -7,22 +7,22 @@
 use flockeye_contract::ViewHeader;
 use flockeye_geometry::Ray;
 use flockeye_geometry::camera::{Camera, CameraModel};
+use flockeye_geometry::pose::PoseEstimate;
 use nalgebra::{Isometry3, Matrix6, UnitQuaternion, Vector3};
-
-use crate::measurement::PoseEstimate;
 
 /// The camera's lenses, as far as they sit beside its middle.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Parallax {
+pub(crate) struct Parallax {
     camera: Camera,
-    assumed_m: f64,
+    /// The distance that is assumed where none is predicted, metres.
+    pub(crate) assumed_m: f64,
     is_stitched: bool,
 }
 
 impl Parallax {
     /// For a camera that is right for `assumed_m` where no neighbour is predicted; `None` if all
     /// of its rays meet in its middle.
-    pub fn of(camera: &Camera, assumed_m: f64) -> Option<Self> {
+    pub(crate) fn of(camera: &Camera, assumed_m: f64) -> Option<Self> {
         let camera = camera.at_distance(assumed_m);
         let is_stitched = matches!(camera.model(), CameraModel::Equirectangular { .. });
         // Only lenses beside the middle make it matter how far things are.
@@ -30,17 +30,12 @@ impl Parallax {
     }
 
     /// The distance that a view's rays are right for, metres.
-    pub fn distance_m(&self, view: Option<&ViewHeader>) -> f64 {
+    pub(crate) fn distance_m(&self, view: Option<&ViewHeader>) -> f64 {
         view.and_then(predicted_distance_m).unwrap_or(self.assumed_m)
     }
 
-    /// The distance that is assumed where none is predicted, metres.
-    pub fn assumed_m(&self) -> f64 {
-        self.assumed_m
-    }
-
     /// A ray that is right for `from_m`, as it is for `to_m`.
-    pub fn brought(&self, ray_in_camera: &Ray, from_m: f64, to_m: f64) -> Ray {
+    pub(crate) fn brought(&self, ray_in_camera: &Ray, from_m: f64, to_m: f64) -> Ray {
         let seen = self.camera.at_distance(from_m).project(ray_in_camera);
         seen.and_then(|pixel| self.camera.at_distance(to_m).ray(pixel)).unwrap_or(*ray_in_camera)
     }
@@ -49,7 +44,7 @@ impl Parallax {
     /// about the camera's middle. A stitched image is taken for one stitched for things far away;
     /// where it was stitched for something nearer it is off by anything up to the whole parallax,
     /// once for all rays: in the covariance, as that much, evenly distributed.
-    pub fn corrected(&self, estimate: &PoseEstimate, rays_m: f64) -> PoseEstimate {
+    pub(crate) fn corrected(&self, estimate: &PoseEstimate, rays_m: f64) -> PoseEstimate {
         let position = estimate.camera_from_markers.translation.vector;
         let Some(towards) = Ray::try_new(position, 1e-9) else { return *estimate };
         let range_m = position.norm();
@@ -85,7 +80,8 @@ fn predicted_distance_m(view: &ViewHeader) -> Option<f64> {
 mod tests {
     #![allow(clippy::unwrap_used, clippy::expect_used)]
     use super::*;
-    use flockeye_geometry::pose::PoseDeviations;
+    use flockeye_geometry::pose::PoseEstimate;
+    use flockeye_geometry::pose::position_deviation_m;
     use nalgebra::{Translation3, Unit};
 
     fn camera() -> Camera {
@@ -116,7 +112,7 @@ mod tests {
         assert!((right.camera_from_markers.translation.vector - truth).norm() < 1e-6);
         // Across the line of sight it is as uncertain as the stitcher makes it: by the root of a
         // third of the half distance of the lenses, less what lies along the sight.
-        let spread = PoseDeviations::of(&right.covariance).position_m;
+        let spread = position_deviation_m(&right.covariance);
         let across = 0.008 * (1.0 - (truth.x / truth.norm()).powi(2)).sqrt();
         assert!((spread / (across / 3f64.sqrt()) - 1.0).abs() < 0.05, "{spread} {across}");
         let sight = truth.normalize();

@@ -7,24 +7,12 @@ use flockeye_imaging::align::Picture;
 
 use crate::aligner::BestView;
 use crate::frame::views::HeldViews;
-use crate::measure::{BestViews, Region};
+use crate::measure::BestViews;
 use crate::parallax::Parallax;
-
-/// A hold on the pixels of a view.
-pub trait Pixels {
-    /// The pixels, row by row.
-    fn pixels(&self) -> &[u8];
-}
-
-impl Pixels for Vec<u8> {
-    fn pixels(&self) -> &[u8] {
-        self
-    }
-}
 
 /// What turns code values into radiance and rays into the right ones.
 #[derive(Debug)]
-pub struct PictureReader {
+pub(crate) struct PictureReader {
     lights: RadianceCache,
     pixels_per_radian: f64,
     parallax: Option<Parallax>,
@@ -33,62 +21,67 @@ pub struct PictureReader {
 impl PictureReader {
     /// For a sphere image of this resolution; `parallax` for a camera whose lenses lie off its
     /// centre.
-    pub fn new(lights: RadianceCache, pixels_per_radian: f64, parallax: Option<Parallax>) -> Self {
+    pub(crate) fn new(
+        lights: RadianceCache,
+        pixels_per_radian: f64,
+        parallax: Option<Parallax>,
+    ) -> Self {
         Self { lights, pixels_per_radian, parallax }
     }
 
-    /// The best views of a frame's targets. A view that cannot be read is left out; detection
-    /// reports why.
-    pub fn best_views<'c, P: Pixels>(&'c mut self, held: &'c HeldViews<P>) -> BestViews<'c> {
-        self.learn_curves(held.best().map(|(_, _, header, _)| header));
-        let reader = &*self;
-        held.best()
-            .filter_map(|(target, quality, header, pixels)| {
-                let agreeing = quality.agreeing;
-                Some((target, BestView { agreeing, ..reader.read(header, pixels)? }))
-            })
-            .collect()
-    }
-
-    /// What views of places show. A view that cannot be read is left out; detection reports why.
-    pub fn places<'c, P: Pixels>(
+    /// The best views of a frame's targets.
+    pub(crate) fn best_views<'c, P: AsRef<[u8]>>(
         &'c mut self,
-        views: &[(&ViewHeader, &'c P)],
-    ) -> Vec<BestView<'c>> {
-        self.learn_curves(views.iter().map(|(header, _)| *header));
-        let reader = &*self;
-        views.iter().filter_map(|(header, pixels)| reader.read(header, *pixels)).collect()
+        held: &'c HeldViews<P>,
+    ) -> BestViews<'c> {
+        let views = held.best.iter().map(|(target, (quality, header, pixels))| {
+            ((*target, quality.agreeing), header, (**pixels).as_ref())
+        });
+        let read = self.read_all(views).into_iter();
+        read.map(|((target, agreeing), view)| (target, BestView { agreeing, ..view })).collect()
     }
 
-    /// Pictures of a frame's unanswered regions of interest. A view that cannot be read is left
-    /// out; detection reports why.
-    pub fn regions<'c, P: Pixels>(
+    /// What views of places show.
+    pub(crate) fn places<'c>(
+        &'c mut self,
+        views: impl Iterator<Item = (&'c ViewHeader, &'c Vec<u8>)>,
+    ) -> Vec<BestView<'c>> {
+        let views = views.map(|(header, pixels)| ((), header, &pixels[..]));
+        self.read_all(views).into_iter().map(|((), view)| view).collect()
+    }
+
+    /// Pictures of a frame's unanswered regions of interest, with their targets' numbers.
+    pub(crate) fn regions<'c, P: AsRef<[u8]>>(
         &'c mut self,
         held: &'c HeldViews<P>,
         views: &[u32],
-    ) -> Vec<Region<'c>> {
-        let unanswered = || views.iter().filter_map(|&index| held.unanswered(index));
-        self.learn_curves(unanswered().map(|(header, _)| header));
-        let reader = &*self;
-        unanswered()
-            .filter_map(|(header, pixels)| {
-                let Some(Purpose::Roi(target)) = purpose_of(header) else { return None };
-                Some(Region { target, view: reader.read(header, pixels)? })
-            })
+    ) -> Vec<(usize, BestView<'c>)> {
+        self.read_all(views.iter().filter_map(|index| {
+            let (header, pixels) = held.unanswered.get(index)?;
+            let Some(Purpose::Roi(target)) = purpose_of(header) else { return None };
+            Some((target, header, (**pixels).as_ref()))
+        }))
+    }
+
+    /// Reads views with their pixels. One that cannot be read is left out; detection reports why.
+    fn read_all<'c, K>(
+        &'c mut self,
+        views: impl Iterator<Item = (K, &'c ViewHeader, &'c [u8])>,
+    ) -> Vec<(K, BestView<'c>)> {
+        let views: Vec<_> = views.collect();
+        for (_, header, _) in &views {
+            // A transfer curve that is refused here is refused again when the view is read.
+            let _ = self.lights.of(header);
+        }
+        let (reader, views) = (&*self, views.into_iter());
+        views
+            .filter_map(|(key, header, pixels)| Some((key, reader.read(header, pixels)?)))
             .collect()
     }
 
-    /// Makes the transfer curves known that headers state. A curve that is refused here is refused
-    /// again in [`Self::read`].
-    fn learn_curves<'h>(&mut self, headers: impl Iterator<Item = &'h ViewHeader>) {
-        for header in headers {
-            let _ = self.lights.of(header);
-        }
-    }
-
-    fn read<'c, P: Pixels>(&'c self, header: &ViewHeader, pixels: &'c P) -> Option<BestView<'c>> {
+    fn read<'c>(&'c self, header: &ViewHeader, pixels: &'c [u8]) -> Option<BestView<'c>> {
         let picture = Picture::still(
-            image_of(header, pixels.pixels()).ok()?,
+            image_of(header, pixels).ok()?,
             view_of(header),
             self.lights.known(header)?,
             self.pixels_per_radian,

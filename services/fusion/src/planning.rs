@@ -2,82 +2,58 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use flockeye_geometry::filter::Prediction;
+use flockeye_geometry::filter::MotionEstimate;
 use flockeye_geometry::search::{Plan, Planner, PredictedNeighbour, Purpose, Search, Searched};
+use serde::{Deserialize, Serialize};
 
-use crate::snapshot::SavedPlanning;
 use crate::tracker::Tracker;
 
 /// A longer time between two frames is not expected to repeat, seconds.
 const MAX_INTERVAL_S: f64 = 0.25;
 
-/// Makes the plans.
-#[derive(Debug)]
-pub struct Planning {
-    planner: Planner,
+/// Where the search is. A successor goes on with it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Planning {
+    /// What was searched when.
     searched: Searched,
-    plan_id: u64,
     /// How many frames have ended.
-    frames: u64,
+    pub(crate) frames: u64,
     /// When the last frame was exposed, seconds.
     last_s: Option<f64>,
     /// The time between the last two frames, seconds.
-    interval_s: f64,
+    pub(crate) interval_s: f64,
 }
 
 /// The plan for the next frame.
 #[derive(Debug, Clone)]
 pub struct NextPlan {
     /// Its number; this process numbers its plans from 1.
-    pub plan_id: u64,
-    /// Where to look.
-    pub plan: Plan,
+    pub(crate) plan_id: u64,
+    pub(crate) plan: Plan,
     /// Where each tracked target will be, by its number.
-    pub predictions: BTreeMap<usize, Prediction>,
+    pub(crate) predictions: BTreeMap<usize, MotionEstimate>,
     /// Targets whose regions of interest need not be searched for markers.
-    pub unsearched: BTreeSet<usize>,
+    pub(crate) unsearched: BTreeSet<usize>,
 }
 
 impl Planning {
     /// Nothing was searched yet.
-    pub fn new(planner: Planner) -> Self {
+    pub(crate) fn new(planner: &Planner) -> Self {
         let searched = planner.nothing_searched();
-        Self { planner, searched, plan_id: 0, frames: 0, last_s: None, interval_s: 1.0 / 30.0 }
-    }
-
-    /// Where the search is, for a successor.
-    pub fn saved(&self) -> SavedPlanning {
-        SavedPlanning {
-            searched: self.searched.clone(),
-            frames: self.frames,
-            last_s: self.last_s,
-            interval_s: self.interval_s,
-        }
+        Self { searched, frames: 0, last_s: None, interval_s: 1.0 / 30.0 }
     }
 
     /// Goes on with another process's search, if it searched the same tiles.
-    pub fn resume(&mut self, saved: SavedPlanning) {
+    pub(crate) fn resume(&mut self, saved: Self) {
         let mut times = [Some(saved.interval_s), saved.last_s].into_iter().flatten();
         if self.searched.has_tiles_of(&saved.searched) && times.all(f64::is_finite) {
-            let SavedPlanning { searched, frames, last_s, interval_s } = saved;
-            (self.searched, self.frames) = (searched, frames);
-            (self.last_s, self.interval_s) = (last_s, interval_s);
+            *self = saved;
         }
-    }
-
-    /// How many frames have ended.
-    pub fn frames(&self) -> u64 {
-        self.frames
-    }
-
-    /// How many plans were made.
-    pub fn plans(&self) -> u64 {
-        self.plan_id
     }
 
     /// Notes that a view was cut. It will be searched, so plans that are made meanwhile need not
     /// ask for it again.
-    pub fn note_cut(&mut self, purpose: Purpose, search: Search) {
+    pub(crate) fn note_cut(&mut self, purpose: Purpose, search: Search) {
         self.searched.record(self.frames, purpose);
         self.searched.record_window(purpose, search);
     }
@@ -85,7 +61,7 @@ impl Planning {
     /// Ends a frame that was exposed at `at_s`, seconds. `unnoted` are purposes of views that were
     /// searched and never noted as cut, `hit` is that of the first view in which a marker was
     /// found.
-    pub fn end_frame(
+    pub(crate) fn end_frame(
         &mut self,
         at_s: f64,
         unnoted: impl Iterator<Item = Purpose>,
@@ -104,18 +80,10 @@ impl Planning {
         self.frames += 1;
     }
 
-    /// Makes the plan for the next frame.
-    pub fn next(&mut self, tracker: &Tracker) -> NextPlan {
-        let (plan, predictions) = self.plan(tracker);
-        self.plan_id += 1;
-        let targets = 0..tracker.targets().len();
-        let unsearched = targets.filter(|&target| tracker.needs_no_markers(target)).collect();
-        NextPlan { plan_id: self.plan_id, plan, predictions, unsearched }
-    }
-
-    fn plan(&self, tracker: &Tracker) -> (Plan, BTreeMap<usize, Prediction>) {
+    /// Makes the plan for the next frame, with this number.
+    pub(crate) fn next(&self, planner: &Planner, plan_id: u64, tracker: &Tracker) -> NextPlan {
         let next_s = self.last_s.map_or(0.0, |last_s| last_s + self.interval_s);
-        let predictions: BTreeMap<usize, Prediction> = tracker.predictions(next_s).collect();
+        let predictions: BTreeMap<usize, MotionEstimate> = tracker.predictions(next_s).collect();
         let predicted: Vec<PredictedNeighbour> = predictions
             .iter()
             .filter_map(|(&target, prediction)| {
@@ -128,7 +96,10 @@ impl Planning {
                 )
             })
             .collect();
-        (self.planner.plan(&self.searched, &predicted), predictions)
+        let plan = planner.plan(&self.searched, &predicted);
+        let targets = 0..tracker.targets().len();
+        let unsearched = targets.filter(|&target| tracker.needs_no_markers(target)).collect();
+        NextPlan { plan_id, plan, predictions, unsearched }
     }
 }
 
@@ -141,11 +112,12 @@ mod tests {
     #[test]
     fn a_tile_that_is_being_searched_is_not_asked_for_again() {
         let tracker = tracker_of(vec![alpha()], 1);
-        let mut planning = Planning::new(planner());
+        let planner = planner();
+        let mut planning = Planning::new(&planner);
         // The frame that is searched has not ended when the next plans are made.
         let mut asked = BTreeSet::new();
         for _ in 0..5 {
-            let next = planning.next(&tracker).plan.views[0].purpose;
+            let next = planning.next(&planner, 1, &tracker).plan.views[0].purpose;
             planning.note_cut(next, Search::FineWindow);
             asked.insert(format!("{next:?}"));
         }

@@ -7,7 +7,7 @@ use crate::policy::TimeBudget;
 
 /// When passes run.
 #[derive(Debug, Clone)]
-pub enum Schedule {
+pub(crate) enum Schedule {
     /// As soon as their inputs are there, in the time that is left.
     Flight,
     /// As in flight, but in a lossless run: by stated costs instead of the time, so that nothing
@@ -22,7 +22,7 @@ const BEHIND_FRAMES: u64 = 2;
 
 impl Schedule {
     /// How much time the passes of a frame may take. `newest` is the newest frame that has come.
-    pub fn budget(&self, stamp: &FrameStamp, newest: Option<&FrameStamp>) -> TimeBudget {
+    pub(crate) fn budget(&self, stamp: &FrameStamp, newest: Option<&FrameStamp>) -> TimeBudget {
         let is_behind = match self {
             Self::Flight => is_behind(stamp, newest),
             Self::Virtual(clock) => clock.is_behind(stamp),
@@ -32,12 +32,12 @@ impl Schedule {
     }
 
     /// Whether passes run as soon as their inputs are there.
-    pub fn is_flight(&self) -> bool {
+    pub(crate) fn is_flight(&self) -> bool {
         matches!(self, Self::Flight)
     }
 
     /// Whether regions of interest are measured before they are searched.
-    pub fn has_direct_pass(&self) -> bool {
+    pub(crate) fn has_direct_pass(&self) -> bool {
         !matches!(self, Self::Unlimited)
     }
 }
@@ -52,40 +52,35 @@ fn is_behind(stamp: &FrameStamp, newest: Option<&FrameStamp>) -> bool {
 
 /// How often passes have tried to measure a target, whether they found it or not.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct Attempts {
-    /// Direct passes.
-    pub direct: u32,
+pub(crate) struct Attempts {
+    pub(crate) direct: u32,
     /// Corner passes with a prediction.
-    pub tracked: u32,
+    pub(crate) tracked: u32,
     /// Corner passes without one.
-    pub untracked: u32,
+    pub(crate) untracked: u32,
 }
 
 /// A clock that only stated costs move on. It begins each frame at its exposure, or when the work
 /// on the frame before is done.
 #[derive(Debug, Clone)]
-pub struct VirtualClock {
+pub(crate) struct VirtualClock {
     costs: Costs,
     last: Option<FrameStamp>,
     interval_ns: i64,
+    /// The time, on the clock of the exposures, nanoseconds.
     now_ns: i64,
     /// When the last background pass is over.
-    background_over_ns: i64,
+    pub(crate) background_over_ns: i64,
 }
 
 impl VirtualClock {
     /// A clock with these costs, before the first frame.
-    pub fn new(costs: Costs) -> Self {
+    pub(crate) fn new(costs: Costs) -> Self {
         Self { costs, last: None, interval_ns: 0, now_ns: i64::MIN, background_over_ns: i64::MIN }
     }
 
-    /// The time, on the clock of the exposures, nanoseconds.
-    pub fn now_ns(&self) -> i64 {
-        self.now_ns
-    }
-
     /// A frame begins.
-    pub fn begin_frame(&mut self, stamp: &FrameStamp) {
+    pub(crate) fn begin_frame(&mut self, stamp: &FrameStamp) {
         let source = |stamp: &FrameStamp| (stamp.source_generation, stamp.epoch);
         let goes_on = self.last.is_some_and(|last| source(&last) == source(stamp));
         self.now_ns = if goes_on { self.now_ns.max(stamp.exposure_ns) } else { stamp.exposure_ns };
@@ -94,7 +89,7 @@ impl VirtualClock {
     }
 
     /// Passes have run.
-    pub fn spend(&mut self, attempts: Attempts) {
+    pub(crate) fn spend(&mut self, attempts: Attempts) {
         let Attempts { direct, tracked, untracked } = attempts;
         let costs = &self.costs;
         self.spend_ms(
@@ -109,24 +104,19 @@ impl VirtualClock {
     }
 
     /// All of a frame has been searched: in flight, that is when the next one is due.
-    pub fn complete_frame(&mut self, stamp: &FrameStamp) {
+    pub(crate) fn complete_frame(&mut self, stamp: &FrameStamp) {
         self.now_ns = self.now_ns.max(stamp.exposure_ns.saturating_add(self.interval_ns));
     }
 
     /// A background pass begins. One is under way at a time.
-    pub fn begin_background(&mut self) {
+    pub(crate) fn begin_background(&mut self) {
         let cost_ns = (self.costs.background_pass_ms * 1e6) as i64;
         self.background_over_ns = self.now_ns.saturating_add(cost_ns);
     }
 
-    /// When the background pass is over that began last, nanoseconds.
-    pub fn background_over_ns(&self) -> i64 {
-        self.background_over_ns
-    }
-
     /// Whether a background pass over a frame is over that takes until then. One over a frame of
     /// another source is: its clock is another one.
-    pub fn is_over(&self, over_ns: i64, order: FrameOrder) -> bool {
+    pub(crate) fn is_over(&self, over_ns: i64, order: FrameOrder) -> bool {
         let of_source = |last: FrameStamp| (last.source_generation, last.epoch);
         over_ns <= self.now_ns || self.last.map(of_source) != Some((order.0, order.1))
     }
@@ -163,7 +153,7 @@ mod tests {
         let mut clock = VirtualClock::new(costs);
         clock.begin_frame(&FrameStamp::default());
         clock.spend(Attempts { direct: 1, tracked: 2, untracked: 3 });
-        assert_eq!(clock.now_ns(), 34 * MS);
+        assert_eq!(clock.now_ns, 34 * MS);
     }
 
     #[test]
@@ -177,15 +167,15 @@ mod tests {
         clock.begin_frame(&at(1));
         clock.spend_ms(5.0);
         clock.complete_frame(&at(1));
-        assert_eq!(clock.now_ns(), 45 * MS, "the interval is not known yet");
+        assert_eq!(clock.now_ns, 45 * MS, "the interval is not known yet");
         clock.begin_frame(&at(2));
-        assert_eq!(clock.now_ns(), 80 * MS);
+        assert_eq!(clock.now_ns, 80 * MS);
         clock.spend_ms(15.0);
         clock.begin_background();
         clock.spend_ms(3.0);
-        assert_eq!(clock.background_over_ns(), 125 * MS);
+        assert_eq!(clock.background_over_ns, 125 * MS);
         clock.complete_frame(&at(2));
-        assert_eq!(clock.now_ns(), 120 * MS);
+        assert_eq!(clock.now_ns, 120 * MS);
         clock.begin_frame(&at(3));
         clock.spend_ms(79.0);
         assert!(!clock.is_behind(&at(3)));
@@ -193,7 +183,7 @@ mod tests {
         assert!(clock.is_behind(&at(3)), "two frames would have come");
         let again = FrameStamp { epoch: 1, ..at(0) };
         clock.begin_frame(&again);
-        assert_eq!(clock.now_ns(), 0, "the source has started again");
+        assert_eq!(clock.now_ns, 0, "the source has started again");
         assert!(clock.is_over(90 * MS, at(2).order()), "a pass over a frame of before");
         assert!(!clock.is_over(90 * MS, again.order()) && clock.is_over(0, again.order()));
     }

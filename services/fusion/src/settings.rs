@@ -10,40 +10,28 @@ use flockeye_dictionary::Dictionary;
 use flockeye_geometry::camera::CameraModel;
 use flockeye_geometry::filter::{MotionModel, TrackPolicy};
 use flockeye_geometry::search::{Planner, SearchMode};
-use flockeye_imaging::align::Coding;
+use flockeye_imaging::align::VIDEO_COVARIANCE_SCALE;
 use flockeye_runtime::memory;
 
 use crate::aligner::Aligner;
 use crate::core::Core;
 use crate::frame::frames::{Frames, Keeping};
+use crate::measure::background::BackgroundQueue;
 use crate::output::Writer;
 use crate::parallax::Parallax;
-use crate::pictures::{PictureReader, Pixels};
-use crate::planning::Planning;
-use crate::readout::Readout;
+use crate::pictures::PictureReader;
 use crate::schedule::{Schedule, VirtualClock};
-use crate::tracker::{FilterChoice, Tracker};
+use crate::tracker::Tracker;
 
-/// A core, the writer of its messages, and the aligner that its background passes run with.
-pub struct Configured<P> {
-    /// The core.
-    pub core: Core<P>,
-    /// The writer.
-    pub writer: Writer,
-    /// The aligner.
-    pub aligner: Arc<Aligner>,
-    /// Whether the core hands out background passes.
-    pub has_background: bool,
-}
-
-/// What the configuration asks for.
+/// A core as the configuration asks for it, the writer of its messages, and the aligner that its
+/// background passes run with; `None` where it hands out none.
 ///
 /// # Errors
 /// A configuration that cannot be worked with: bodies, dictionary, mask, views.
-pub fn configured<P: Pixels>(
+pub fn configured<P: AsRef<[u8]>>(
     resolved: &Resolved,
     generation: u32,
-) -> anyhow::Result<Configured<P>> {
+) -> anyhow::Result<(Core<P>, Writer, Option<Arc<Aligner>>)> {
     let Resolved { pipeline, bodies, camera, observer_from_camera, .. } = resolved;
     let planner = Planner::new(
         search_mode(pipeline),
@@ -66,20 +54,19 @@ pub fn configured<P: Pixels>(
     let aligner = Aligner::new(bodies, |id| dictionary.print(id), camera.pixels_per_radian())
         .context("a body cannot be aligned")?
         .with_covariance_scale(pipeline.fusion.covariance_scale)
-        .with_coding(coding(pipeline))
+        .with_coding_covariance_scale(coding_covariance_scale(pipeline))
         .with_max_tilt(bodies, observer_from_camera, pipeline.fusion.level_deg.to_radians());
     let aligner = Arc::new(aligner);
     let parallax = Parallax::of(camera, pipeline.camera.assumed_distance_m);
-    let filter = filter_choice(pipeline);
+    let filter = pipeline.has_tracks().then(|| track_policy(pipeline));
     let has_background = pipeline.is_limited() && pipeline.fusion.align && pipeline.has_tracks();
     let threads = pipeline.fusion.threads as usize;
-    let mut tracker = Tracker::new(bodies, filter, aligner.clone(), threads)
-        .with_parallax(parallax.clone())
-        .with_readout(Readout::of(camera, pipeline.camera.readout_ms * 1e-3))
-        .with_exposure(pipeline.exposure_s());
-    if has_background {
-        tracker = tracker.with_background();
-    }
+    let exposure_s = pipeline.exposure_s();
+    let mut tracker = Tracker::new(bodies, filter, aligner.clone(), threads, exposure_s);
+    tracker.camera.parallax = parallax.clone();
+    let readout_s = pipeline.camera.readout_ms * 1e-3;
+    tracker.camera.readout = (readout_s > 0.0).then_some((*camera, readout_s));
+    tracker.background = has_background.then(BackgroundQueue::default);
     let schedule = match pipeline.limit() {
         FrameLimit::Time => Schedule::Flight,
         FrameLimit::Costs => Schedule::Virtual(VirtualClock::new(pipeline.costs())),
@@ -102,7 +89,7 @@ pub fn configured<P: Pixels>(
             parallax,
         ),
         tracker,
-        Planning::new(planner),
+        planner,
     );
     // In a lossless run a record may come before anything else of its frame.
     let core = match pipeline.flow() {
@@ -116,7 +103,7 @@ pub fn configured<P: Pixels>(
         mode: pipeline.search.mode,
         generation,
     };
-    Ok(Configured { core, writer, aligner, has_background })
+    Ok((core, writer, has_background.then_some(aligner)))
 }
 
 /// Views of places that look like a body in each frame. They are found in equirectangular pictures
@@ -138,27 +125,23 @@ fn search_mode(pipeline: &Pipeline) -> SearchMode {
     }
 }
 
-/// How the source's pictures are coded.
-fn coding(pipeline: &Pipeline) -> Coding {
-    if pipeline.is_coded_as_video() { Coding::Video } else { Coding::Images }
+/// Factor on covariances for how the source's pictures are coded.
+fn coding_covariance_scale(pipeline: &Pipeline) -> f64 {
+    if pipeline.is_coded_as_video() { VIDEO_COVARIANCE_SCALE } else { 1.0 }
 }
 
-/// How poses are carried from frame to frame.
-fn filter_choice(pipeline: &Pipeline) -> FilterChoice {
+/// How tracks are filtered.
+fn track_policy(pipeline: &Pipeline) -> TrackPolicy {
     let fusion = &pipeline.fusion;
     let usual = MotionModel::default();
-    match pipeline.has_tracks() {
-        false => FilterChoice::None,
-        true => FilterChoice::Tracks(TrackPolicy {
-            motion: MotionModel {
-                acceleration: fusion.acceleration,
-                angular_acceleration: fusion.angular_acceleration,
-                // A coasting target is predicted all the while.
-                longest_step_s: usual.longest_step_s.max(fusion.coast_s),
-                ..usual
-            },
-            coast_s: fusion.coast_s,
-            ..TrackPolicy::default()
-        }),
+    TrackPolicy {
+        motion: MotionModel {
+            acceleration: fusion.acceleration,
+            // A coasting target is predicted all the while.
+            longest_step_s: usual.longest_step_s.max(fusion.coast_s),
+            ..usual
+        },
+        coast_s: fusion.coast_s,
+        ..TrackPolicy::default()
     }
 }

@@ -11,12 +11,12 @@ use flockeye_runtime::{Context, Stage, Step, clock};
 use anyhow::Context as _;
 
 use crate::background_runner::BackgroundRunner;
-use crate::core::{Event, Outputs};
+use crate::core::{Core, Event, Outputs};
 use crate::inbox::Inbox;
-use crate::journal::{Journal, Journaled};
-use crate::notices::Reporter;
+use crate::journal::Journal;
+use crate::notices::Throttles;
 use crate::output::Writer;
-use crate::settings::{Configured, configured};
+use crate::settings::configured;
 use crate::succession::Succession;
 
 /// How often an open frame looks whether its background pass is over, nanoseconds.
@@ -26,15 +26,15 @@ const BACKGROUND_POLL_NS: i64 = 4_000_000;
 const JOIN_POLL_NS: i64 = 5_000_000;
 
 /// Takes views, detections and frame ends; gives tracks and plans, and a journal while it is read.
-pub struct FusionStage {
+pub(crate) struct FusionStage {
     inbox: Inbox,
     tracks: Publisher<Tracks>,
     plans: Publisher<Plans>,
     journals: Publisher<Journals>,
-    core: Journaled<Message<Views>>,
+    core: Core<Message<Views>>,
     writer: Writer,
     background: Option<BackgroundRunner>,
-    reporter: Reporter,
+    throttles: Throttles,
     counters: SharedCounters,
     flow: Flow,
     /// Until when a lossless run waits for rectification to join, nanoseconds.
@@ -48,9 +48,9 @@ impl Stage for FusionStage {
 
     fn open(context: &Context, ports: &mut Ports) -> anyhow::Result<Self> {
         let pipeline = &context.resolved.pipeline;
-        let Configured { mut core, writer, aligner, has_background } =
+        let (mut core, writer, aligner) =
             configured(&context.resolved, context.identity.generation)?;
-        let background = has_background.then(|| match pipeline.flow() {
+        let background = aligner.map(|aligner| match pipeline.flow() {
             Flow::Latest => BackgroundRunner::thread(aligner),
             Flow::Lossless => Ok(BackgroundRunner::inline(aligner)),
         });
@@ -58,17 +58,17 @@ impl Stage for FusionStage {
         let longest = Duration::from_secs_f64(pipeline.fusion.coast_s);
         let succession = (pipeline.flow() == Flow::Latest)
             .then(|| Succession::begin(&mut core, &context.saved_states, longest));
-        let has_resumed = succession.as_ref().is_some_and(Succession::has_resumed);
+        let has_resumed = succession.as_ref().is_some_and(|before| before.has_resumed);
         let journal = Journal::new(context.identity.generation, has_resumed);
         Ok(Self {
             inbox: Inbox::open(ports, pipeline)?,
             tracks: ports.publisher()?,
             plans: ports.publisher()?,
             journals: ports.side_publisher()?,
-            core: Journaled::new(core, journal),
+            core: core.journaled(journal),
             writer,
             background: background.transpose().context("a thread for the background pass")?,
-            reporter: Reporter::new(context.counters.clone()),
+            throttles: Throttles::new(),
             counters: context.counters.clone(),
             flow: pipeline.flow(),
             join_until_ns: clock::monotonic_ns() + pipeline.frame_deadline().as_nanos() as i64,
@@ -79,11 +79,13 @@ impl Stage for FusionStage {
     fn step(&mut self) -> anyhow::Result<Step> {
         let now_ns = clock::monotonic_ns();
         let is_alone = self.flow == Flow::Lossless && !self.inbox.connect()?;
-        if is_alone && self.core.plans() == 0 && now_ns < self.join_until_ns {
+        if is_alone && self.core.frames.newest_plan == 0 && now_ns < self.join_until_ns {
             return Ok(Step::WaitUntil(now_ns + JOIN_POLL_NS));
         }
         self.plans.update_connections()?;
-        self.core.journal().listen(self.journals.readers() > 0);
+        if let Some(journal) = self.core.journal() {
+            journal.listen(self.journals.readers() > 0);
+        }
         self.inbox.receive(&mut self.core, now_ns)?;
         if let Some(runner) = &mut self.background
             && let Some(answer) = runner.answer()?
@@ -94,14 +96,14 @@ impl Stage for FusionStage {
         let is_idle = outputs.is_idle;
         self.send(outputs)?;
         self.send_journal(is_idle)?;
-        self.counters.set_queued(self.core.open_frames());
+        self.counters.set_queued(self.core.frames.count());
         if !is_idle {
             return Ok(Step::Again);
         }
         if self.core.awaits_background() {
             return Ok(Step::WaitUntil(clock::monotonic_ns() + BACKGROUND_POLL_NS));
         }
-        let deadlines = [self.core.next_deadline_ns(), self.inbox.next_deadline_ns()];
+        let deadlines = [self.core.frames.next_deadline_ns(), self.inbox.next_deadline_ns()];
         Ok(deadlines.into_iter().flatten().min().map_or(Step::Wait, Step::WaitUntil))
     }
 
@@ -112,7 +114,8 @@ impl Stage for FusionStage {
 
 impl FusionStage {
     fn send_journal(&mut self, is_idle: bool) -> anyhow::Result<()> {
-        while let Some((header, entries)) = self.core.journal().take(is_idle) {
+        let mut next = || self.core.journal()?.take(is_idle);
+        while let Some((header, entries)) = next() {
             self.journals.send(header, &entries)?;
         }
         Ok(())
@@ -136,10 +139,12 @@ impl FusionStage {
         if let (Some(job), Some(runner)) = (outputs.job, &mut self.background) {
             runner.run(job)?;
         }
-        if let Some(taken_ns) = outputs.ended.and_then(|ended| ended.taken_ns) {
+        if let Some(taken_ns) = outputs.taken_ns {
             self.counters.add_latency_ns(clock::monotonic_ns() - taken_ns);
         }
-        outputs.notices.iter().for_each(|notice| self.reporter.report(notice));
+        for notice in &outputs.notices {
+            notice.report(&self.counters, &mut self.throttles);
+        }
         Ok(())
     }
 }

@@ -7,23 +7,27 @@ use flockeye_runtime::logs::Throttle;
 use flockeye_runtime::saved_state::{SavedStates, StateKeeper};
 
 use crate::core::Core;
-use crate::pictures::Pixels;
 use crate::snapshot::Snapshot;
 
 /// Saves the state of one process after each frame.
 #[derive(Debug)]
-pub struct Succession {
+pub(crate) struct Succession {
     /// `None` where the file could not be made. Fusion works without it.
     keeper: Option<StateKeeper>,
     failures: Throttle,
-    has_resumed: bool,
+    /// Whether the core goes on where another process was.
+    pub(crate) has_resumed: bool,
 }
 
 impl Succession {
     /// Lets `core` go on where the worker's last process was. Tracks that are older than `longest`
     /// are over; of frames that were told nothing is told again. Without a state it starts with
     /// nothing, as at the pipeline's start.
-    pub fn begin<P: Pixels>(core: &mut Core<P>, states: &SavedStates, longest: Duration) -> Self {
+    pub(crate) fn begin<P: AsRef<[u8]>>(
+        core: &mut Core<P>,
+        states: &SavedStates,
+        longest: Duration,
+    ) -> Self {
         let mut has_resumed = false;
         match states.newest(clock::monotonic_ns()) {
             Ok(None) => {}
@@ -56,19 +60,11 @@ impl Succession {
         Self { keeper: keeper.ok(), failures: Throttle::default(), has_resumed }
     }
 
-    /// Whether the core goes on where another process was.
-    pub fn has_resumed(&self) -> bool {
-        self.has_resumed
-    }
-
     /// Saves the state of `core`.
-    pub fn save<P: Pixels>(&mut self, core: &Core<P>) {
+    pub(crate) fn save<P: AsRef<[u8]>>(&mut self, core: &Core<P>) {
         let Some(keeper) = &mut self.keeper else { return };
-        let saved = core
-            .snapshot()
-            .to_bytes()
-            .map_err(anyhow::Error::from)
-            .and_then(|state| Ok(keeper.save(clock::monotonic_ns(), &state)?));
+        let saved = core.snapshot().to_bytes();
+        let saved = saved.and_then(|state| Ok(keeper.save(clock::monotonic_ns(), &state)?));
         if let Err(error) = saved
             && let Some(more) = self.failures.admit()
         {

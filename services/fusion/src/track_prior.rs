@@ -1,6 +1,6 @@
 //! What a track predicts of a target before a frame measures it.
 
-use flockeye_geometry::pose::PosePrior;
+use flockeye_geometry::pose::PoseEstimate;
 use nalgebra::Isometry3;
 
 /// What a track predicts of a target before a frame measures it.
@@ -12,12 +12,12 @@ pub enum TrackPrior {
     /// A track that is not confirmed yet: a pose to start from (`camera_from_markers`), no prior.
     Tentative(Isometry3<f64>),
     /// A confirmed track.
-    Confirmed(PosePrior),
+    Confirmed(PoseEstimate),
 }
 
 impl TrackPrior {
     /// The predicted `camera_from_markers`, confirmed or not.
-    pub fn predicted(&self) -> Option<&Isometry3<f64>> {
+    pub(crate) fn predicted(&self) -> Option<&Isometry3<f64>> {
         match self {
             Self::Untracked => None,
             Self::Tentative(pose) => Some(pose),
@@ -26,7 +26,7 @@ impl TrackPrior {
     }
 
     /// The prediction of a confirmed track.
-    pub fn confirmed(&self) -> Option<&PosePrior> {
+    pub(crate) fn confirmed(&self) -> Option<&PoseEstimate> {
         match self {
             Self::Confirmed(prior) => Some(prior),
             Self::Untracked | Self::Tentative(_) => None,

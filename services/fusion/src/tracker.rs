@@ -2,136 +2,90 @@
 //!
 //! A measurement enters a track in one place, [`Tracker::take_in`].
 
-use std::collections::BTreeSet;
 use std::sync::Arc;
 
 use flockeye_contract::FrameOrder;
 use flockeye_geometry::body::Bodies;
+use flockeye_geometry::camera::Camera;
 use flockeye_geometry::ego_rotation::EgoRotation;
-use flockeye_geometry::filter::TrackPolicy;
+use flockeye_geometry::filter::{HISTORY_S, TrackPolicy};
 
-use crate::account::{Account, AccountEntry, Pass};
+use crate::account::{AccountEntry, Pass, Trial};
 use crate::aligner::Aligner;
 use crate::decide::markers::contradicts;
 use crate::decide::outcome::Outcome;
-use crate::exposure::Exposure;
-use crate::frame::parts::{Part, Parts, Status};
+use crate::exposure::ExposureEstimate;
+use crate::frame::parts::{Part, Status, unpublished};
 use crate::measure::background::BackgroundQueue;
-use crate::measure::{AnsweredView, BestViews, distinct_decoded};
-use crate::measurement::{Measurement, decoded_rays};
+use crate::measure::{AnsweredView, BestViews, FrameTime, distinct_decoded};
+use crate::measurement::{PoseMeasurement, decoded_rays};
 use crate::parallax::Parallax;
-use crate::policy::{DirectPassPolicy, TimeBudget};
-use crate::readout::Readout;
+use crate::policy::TimeBudget;
 use crate::schedule::Attempts;
 use crate::target::{Target, TargetEstimate, Update};
 
-/// How poses are carried from frame to frame.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub enum FilterChoice {
-    /// A track for each target.
-    Tracks(TrackPolicy),
-    /// Each frame for itself.
-    None,
-}
-
-/// Where a frame is in time.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct FrameTime {
-    /// Its place among all frames.
-    pub order: FrameOrder,
-    /// When it was exposed, seconds.
-    pub at_s: f64,
-    /// How many frames had ended before.
-    pub number: u64,
-}
-
-/// What is known of the camera beside its model.
-struct CameraState {
+/// What is known of the camera beside what its picture shows.
+pub(crate) struct CameraState {
     /// How it has turned.
     ego: EgoRotation,
-    /// How long it exposes frames.
-    exposure: Exposure,
-    /// `None` where all lenses lie at its centre.
-    parallax: Option<Parallax>,
-    /// `None` where all rows are exposed at once.
-    readout: Option<Readout>,
-}
-
-/// What targets are measured with.
-struct Means {
-    aligner: Arc<Aligner>,
-    /// See [`Bodies::radius_in_sides`].
-    radius_in_sides: f64,
-    threads: usize,
+    exposure: ExposureEstimate,
+    /// Brings rays and poses to their distances; `None` where all lenses lie at the camera's
+    /// centre.
+    pub(crate) parallax: Option<Parallax>,
+    /// Its model, and the time from its first to its last row, seconds; `None` where all rows are
+    /// exposed at once.
+    pub(crate) readout: Option<(Camera, f64)>,
 }
 
 /// All targets with their tracks.
 pub struct Tracker {
     targets: Vec<Target>,
-    filter: FilterChoice,
-    camera: CameraState,
-    means: Means,
-    /// `None`: everything is done at once.
-    background: Option<BackgroundQueue>,
-    direct_policy: DirectPassPolicy,
+    /// How tracks are filtered; `None`: each frame stands for itself.
+    filter: Option<TrackPolicy>,
+    aligner: Arc<Aligner>,
+    /// See [`Bodies::radius_in_sides`].
+    radius_in_sides: f64,
+    /// Threads that targets of one frame are measured on, at most.
+    pub(crate) threads: usize,
+    pub(crate) camera: CameraState,
+    /// Where what takes long waits for the background pass; `None`: everything is done at once.
+    pub(crate) background: Option<BackgroundQueue>,
     attempts: Attempts,
     /// The last frame that has ended, and when it was exposed, seconds.
-    ended: Option<(FrameOrder, f64)>,
-    /// The decisions on one target, if an account of it was asked for.
-    account: Option<Account>,
+    pub(crate) ended: Option<(FrameOrder, f64)>,
+    /// The target of which an account is kept, and what happened to it in which frame.
+    account: Option<(usize, Vec<(FrameOrder, AccountEntry)>)>,
 }
 
 impl Tracker {
-    /// Targets that were never seen. Those of one frame are measured on up to `threads` threads.
-    pub fn new(
+    /// Targets that were never seen. `exposure_s` says how long frames are exposed, seconds.
+    /// Without it the blur of moving bodies shows it in time.
+    pub(crate) fn new(
         bodies: &Bodies,
-        filter: FilterChoice,
+        filter: Option<TrackPolicy>,
         aligner: Arc<Aligner>,
         threads: usize,
+        exposure_s: Option<f64>,
     ) -> Self {
-        let policy = match filter {
-            FilterChoice::Tracks(policy) => policy,
-            FilterChoice::None => TrackPolicy::default(),
-        };
+        let policy = filter.unwrap_or_default();
         Self {
             targets: bodies.iter().map(|body| Target::new(body.clone(), policy)).collect(),
             filter,
+            radius_in_sides: bodies.radius_in_sides(),
+            threads,
             camera: CameraState {
                 // Predictions reach back to the last measurement, and not farther than this.
-                ego: EgoRotation::new(policy.motion.longest_step_s + policy.history_s),
-                exposure: Exposure::new(None, aligner.pixels_per_radian()),
+                ego: EgoRotation::new(policy.motion.longest_step_s + HISTORY_S),
+                exposure: ExposureEstimate::new(exposure_s, aligner.pixels_per_radian),
                 parallax: None,
                 readout: None,
             },
-            means: Means { aligner, radius_in_sides: bodies.radius_in_sides(), threads },
+            aligner,
             background: None,
-            direct_policy: DirectPassPolicy::default(),
             attempts: Attempts::default(),
             ended: None,
             account: None,
         }
-    }
-
-    /// Brings rays and poses to their distances, for a camera whose lenses lie off its centre.
-    pub fn with_parallax(self, parallax: Option<Parallax>) -> Self {
-        Self { camera: CameraState { parallax, ..self.camera }, ..self }
-    }
-
-    /// Takes into account that rows are exposed one after the other.
-    pub fn with_readout(self, readout: Option<Readout>) -> Self {
-        Self { camera: CameraState { readout, ..self.camera }, ..self }
-    }
-
-    /// States how long frames are exposed, seconds. Without it the blur of moving bodies shows it
-    /// in time.
-    pub fn with_exposure(self, known_s: Option<f64>) -> Self {
-        let exposure = Exposure::new(known_s, self.means.aligner.pixels_per_radian());
-        Self { camera: CameraState { exposure, ..self.camera }, ..self }
-    }
-
-    /// Leaves what takes long to the background pass, whose jobs [`Tracker::take_job`] hands out.
-    pub fn with_background(self) -> Self {
-        Self { background: Some(BackgroundQueue::default()), ..self }
     }
 
     /// The targets, by their numbers.
@@ -139,28 +93,18 @@ impl Tracker {
         &self.targets
     }
 
-    /// How many threads targets are measured on.
-    pub fn threads(&self) -> usize {
-        self.means.threads
-    }
-
-    /// The last frame that has ended.
-    pub fn last_ended(&self) -> Option<FrameOrder> {
-        self.ended.map(|(order, _)| order)
-    }
-
     /// The attempts since this was asked last.
-    pub fn take_attempts(&mut self) -> Attempts {
+    pub(crate) fn take_attempts(&mut self) -> Attempts {
         std::mem::take(&mut self.attempts)
     }
 
     /// The corner pass over regions of interest of one frame that have been searched. A pose need
     /// wait neither for the frame's tiles nor for the frame before, because the filter puts each
     /// measurement where it belongs in time.
-    pub fn region_pass(
+    pub(crate) fn region_pass(
         &mut self,
         time: FrameTime,
-        parts: &mut Parts,
+        parts: &mut [Part],
         answered: &[AnsweredView<'_>],
         best_views: &BestViews<'_>,
         budget: TimeBudget,
@@ -183,10 +127,10 @@ impl Tracker {
 
     /// The last corner pass, once all of a frame has been searched. It gives an estimate also for
     /// tracked targets that the frame does not show.
-    pub fn final_pass(
+    pub(crate) fn final_pass(
         &mut self,
         time: FrameTime,
-        parts: &mut Parts,
+        parts: &mut [Part],
         answered: &[AnsweredView<'_>],
         best_views: &BestViews<'_>,
         budget: TimeBudget,
@@ -195,9 +139,9 @@ impl Tracker {
         // depend on when its parts came.
         let mut updates = self.region_pass(time, parts, answered, best_views, budget);
         let left: Vec<(usize, &[AnsweredView<'_>])> =
-            parts.unpublished().map(|target| (target, answered)).collect();
+            unpublished(parts).map(|target| (target, answered)).collect();
         updates.extend(self.corner_pass(time, parts, &left, best_views, Pass::Complete, budget));
-        let missed: Vec<usize> = parts.unpublished().collect();
+        let missed: Vec<usize> = unpublished(parts).collect();
         for target in missed {
             let mut part = parts.get_mut(target);
             let imprecise = part.as_mut().and_then(|part| part.imprecise.take());
@@ -212,12 +156,9 @@ impl Tracker {
             }
             let decoded = answered.iter().flat_map(|answer| &answer.record.markers);
             let decoded = distinct_decoded(decoded, &self.targets[target].body);
-            let estimate = match self.filter {
-                FilterChoice::Tracks(_) => {
-                    self.targets[target].miss(time.at_s, decoded, &self.camera.ego)
-                }
-                FilterChoice::None => None,
-            };
+            let estimate = self
+                .filter
+                .and_then(|_| self.targets[target].miss(time.at_s, decoded, &self.camera.ego));
             updates.extend(estimate.map(|estimate| (target, estimate)));
         }
         updates
@@ -227,38 +168,34 @@ impl Tracker {
     fn compare_with_markers(
         &mut self,
         order: FrameOrder,
-        parts: &Parts,
+        parts: &[Part],
         answered: &[AnsweredView<'_>],
     ) {
         for answer in answered {
             let Some(target) = answer.region_of() else { continue };
-            let Some(Target { body, .. }) = self.targets.get(target) else { continue };
+            let Some(known) = self.targets.get_mut(target) else { continue };
             let Some(pose) = parts.get(target).and_then(Part::direct_pose) else { continue };
-            let rays = decoded_rays(body, &answer.record.markers);
-            if contradicts(body, &rays, pose) {
-                self.direct_policy.suspend(target);
+            let rays = decoded_rays(&known.body, &answer.record.markers);
+            if contradicts(&known.body, &rays, pose) {
+                known.suspend_direct_pass();
                 self.note(order, target, AccountEntry::Contradicted);
             }
         }
     }
 
     /// Takes a measurement into the track of its target: the one place where that happens. `part`
-    /// is the target's part in the frame, unless that has ended. Returns what is known of the target
-    /// then, `None` where the filter refuses the measurement, and what became of it.
+    /// is the target's part in the frame, unless that has ended. Returns what is known of the
+    /// target then, `None` where the filter refuses the measurement, and what became of it.
     pub(crate) fn take_in(
         &mut self,
         time: FrameTime,
         target: usize,
         part: Option<&mut Part>,
-        measurement: Measurement,
+        measurement: PoseMeasurement,
     ) -> (Option<Update>, Outcome) {
         let estimate = match self.filter {
-            FilterChoice::Tracks(_) => {
-                self.targets[target].update(time.at_s, &measurement, &self.camera.ego)
-            }
-            FilterChoice::None => {
-                measurement.is_precise.then(|| TargetEstimate::of_frame(&measurement))
-            }
+            Some(_) => self.targets[target].update(time.at_s, &measurement, &self.camera.ego),
+            None => measurement.is_precise.then(|| TargetEstimate::of_frame(&measurement)),
         };
         let is_measured = estimate.as_ref().map(|estimate| estimate.measured.is_some());
         let outcome = Outcome::of(measurement, is_measured);
@@ -273,20 +210,56 @@ impl Tracker {
     }
 
     /// Ends a frame that was exposed at `at_s`, seconds. Frames end in their order.
-    pub fn end_frame(&mut self, order: FrameOrder, at_s: f64, parts: &Parts) {
-        let direct: BTreeSet<usize> = parts.measured_directly().collect();
-        self.direct_policy.end_frame(&direct);
+    pub(crate) fn end_frame(&mut self, order: FrameOrder, at_s: f64, parts: &[Part]) {
+        for (target, part) in self.targets.iter_mut().zip(parts) {
+            target.end_frame(part.direct_pose().is_some());
+        }
         self.camera.exposure.end_frame();
         self.ended = Some((order, at_s));
     }
 
     /// Whether a target's region of interest in the next frame need not be searched for markers.
-    pub fn needs_no_markers(&self, target: usize) -> bool {
-        self.direct_policy.needs_no_markers(target)
+    pub(crate) fn needs_no_markers(&self, target: usize) -> bool {
+        self.targets[target].needs_no_markers(target)
+    }
+
+    /// Notes from now on what is decided of a target.
+    pub(crate) fn keep_account(&mut self, target: usize) {
+        self.account = Some((target, Vec::new()));
+    }
+
+    /// What was decided of the target since this was asked last, with the frame of each decision.
+    pub(crate) fn take_account(&mut self) -> Vec<(FrameOrder, AccountEntry)> {
+        self.account.as_mut().map(|(_, entries)| std::mem::take(entries)).unwrap_or_default()
+    }
+
+    /// Notes what happened to a target, if somebody asks. Nothing is decided by that.
+    fn note(&mut self, order: FrameOrder, target: usize, entry: AccountEntry) {
+        if let Some((_, entries)) = self.account.as_mut().filter(|(asked, _)| *asked == target) {
+            entries.push((order, entry));
+        }
+    }
+
+    /// Notes a pass over a target with what became of its pose.
+    fn note_trial(&mut self, order: FrameOrder, target: usize, trial: Trial, outcome: Outcome) {
+        self.note(order, target, AccountEntry::Ran(Trial { outcome, ..trial }));
+    }
+
+    /// Takes in and notes what a pass over a target has measured.
+    fn take_in_trial(
+        &mut self,
+        time: FrameTime,
+        target: usize,
+        part: Option<&mut Part>,
+        measurement: PoseMeasurement,
+        trial: Trial,
+    ) -> Option<Update> {
+        let (update, outcome) = self.take_in(time, target, part, measurement);
+        self.note_trial(time.order, target, trial, outcome);
+        update
     }
 }
 
-mod accounting;
 mod by_background;
 mod by_markers;
 mod by_place;

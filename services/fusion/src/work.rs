@@ -5,7 +5,7 @@ use flockeye_contract::FrameOrder;
 /// A piece of work, in the order of its urgency: what is due first is the least. Of two alike, the
 /// frame that was exposed first has it first.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Work {
+pub(crate) enum Work {
     /// Make the first plan. It opens the flow: rectification has something to follow, and a
     /// lossless source its first credit.
     OpenFlow,
@@ -14,45 +14,23 @@ pub enum Work {
     MeasureRegions {
         /// When the first of them came, as a count of regions.
         arrival: u64,
-        /// The frame.
         order: FrameOrder,
     },
     /// Measure targets whose regions of interest have been searched for markers.
-    MeasureRecords {
-        /// The frame.
-        order: FrameOrder,
-    },
+    MeasureRecords { order: FrameOrder },
     /// Take in what a background pass has found.
     TakeAnswer,
     /// Measure all that is left in a complete frame.
-    MeasureFrame {
-        /// The frame.
-        order: FrameOrder,
-    },
+    MeasureFrame { order: FrameOrder },
     /// Look for an untracked target at some places of a measured frame, or end the frame where none
     /// are left.
-    SearchPlaces {
-        /// The frame.
-        order: FrameOrder,
-    },
+    SearchPlaces { order: FrameOrder },
     /// Complete a frame for which nothing more is waited.
     CompleteFrame {
-        /// The frame.
         order: FrameOrder,
-        /// Why nothing more is waited for.
-        reason: Completion,
+        /// Whether something is missing: its deadline has passed, or too many frames are open.
+        is_overdue: bool,
     },
-}
-
-/// Why nothing more is waited for in a frame.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Completion {
-    /// All has come.
-    Whole,
-    /// Its deadline has passed, or too many frames are open.
-    Overdue,
-    /// The frame was under way when this process began, which never receives what came before.
-    Partial,
 }
 
 #[cfg(test)]
@@ -71,7 +49,7 @@ mod tests {
             Work::TakeAnswer,
             Work::MeasureFrame { order: older },
             Work::SearchPlaces { order: older },
-            Work::CompleteFrame { order: older, reason: Completion::Overdue },
+            Work::CompleteFrame { order: older, is_overdue: true },
         ];
         assert!(in_order.is_sorted());
     }

@@ -1,55 +1,38 @@
-//! What becomes of each message: reports for the swarm, and the peers' sightings for the pipeline. It has no
-//! port, no clock and no network.
+//! What becomes of each message: reports for the swarm, and the peers' sightings for the pipeline.
+//! It has no port, no clock and no network.
 
 use std::collections::BTreeMap;
 
 use flockeye_config::Flow;
 use flockeye_contract::wire::{ClockOffset, FrameReport};
 use flockeye_contract::{OdometrySample, PeerSighting, Rotation, SwarmPose, Track, TrackHeader};
-use flockeye_network::TimedSighting;
-use flockeye_peer::PeerReport;
+use flockeye_convert::camera_turn;
+use flockeye_network::{ClockReading, TimedSighting};
+use flockeye_peer::{PeerReport, SwarmView};
 use flockeye_runtime::clock::exposure_ns;
 use flockeye_runtime::newest::Newest;
 use nalgebra::UnitQuaternion;
 
-use crate::frame::{Gathering, Head, Utc};
+use crate::frame::Gathering;
 use crate::odometry::OwnOdometry;
-use crate::pace::Pace;
-use crate::swarm::Swarm;
-
-/// One instant on this machine's clocks.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Now {
-    /// CLOCK_MONOTONIC, nanoseconds.
-    pub(crate) monotonic_ns: i64,
-    /// UTC less CLOCK_MONOTONIC, nanoseconds.
-    pub(crate) utc_less_monotonic_ns: i64,
-    /// Whether this machine's UTC is known to be right.
-    pub(crate) is_synchronised: bool,
-}
-
-/// A report, and how long after the exposure it goes out.
-#[derive(Debug, PartialEq)]
-pub(crate) struct DueReport {
-    pub(crate) report: FrameReport,
-    pub(crate) latency_ns: i64,
-}
+use crate::selection::FrameSelection;
+use crate::swarm::{peer_sighting, swarm_pose};
 
 /// All that the gateway knows.
 #[derive(Debug)]
 pub(crate) struct Core {
-    observer: String,
+    observer_from_camera: UnitQuaternion<f64>,
     flow: Flow,
     newest: Newest,
-    pace: Pace,
+    selection: FrameSelection,
     gathering: Gathering,
     odometry: OwnOdometry,
-    swarm: Swarm,
+    swarm: SwarmView,
 }
 
 impl Core {
-    /// The core of the drone `observer`, whose camera is turned by `observer_from_camera`. `report_hz` is
-    /// `gateway.report_hz`.
+    /// The core of the drone `observer`, whose camera is turned by `observer_from_camera`.
+    /// `report_hz` is `gateway.report_hz`.
     pub(crate) fn new(
         observer: &str,
         observer_from_camera: UnitQuaternion<f64>,
@@ -57,19 +40,21 @@ impl Core {
         report_hz: Option<f64>,
     ) -> Self {
         Self {
-            observer: observer.to_owned(),
+            observer_from_camera,
             flow,
             newest: Newest::default(),
-            pace: Pace::new(report_hz),
+            selection: FrameSelection::new(report_hz),
             gathering: Gathering::default(),
             odometry: OwnOdometry::default(),
-            swarm: Swarm::new(observer, observer_from_camera),
+            swarm: SwarmView::from(observer),
         }
     }
 
     /// This drone has turned.
     pub(crate) fn on_rotation(&mut self, rotation: &Rotation) {
-        self.swarm.turned(rotation);
+        if let Some(turn) = camera_turn(rotation) {
+            self.swarm.turned(&turn.in_frame(&self.observer_from_camera));
+        }
     }
 
     /// The autopilot's estimate of this drone's motion.
@@ -77,50 +62,49 @@ impl Core {
         self.odometry.add(sample);
     }
 
-    /// Tracks of a frame. Gives the frame's report where there is news of it for the swarm; `clocks` says how
-    /// the peers' clocks differ.
+    /// Tracks of a frame. Gives the frame's report where there is news of it for the swarm, and how
+    /// long after the exposure that is, nanoseconds; `clocks` says how the peers' clocks differ.
     pub(crate) fn on_tracks(
         &mut self,
         header: &TrackHeader,
         tracks: &[Track],
-        now: Now,
+        now: ClockReading,
         clocks: impl FnOnce() -> BTreeMap<String, ClockOffset>,
-    ) -> Option<DueReport> {
+    ) -> Option<(FrameReport, i64)> {
         let TrackHeader { stamp, is_last, .. } = header;
         let exposure_ns = exposure_ns(stamp, self.flow);
         for track in self.newest.tracks(stamp, tracks) {
-            self.swarm.sees(stamp, exposure_ns, track);
+            let report = PeerReport::of_track(self.swarm.own(), stamp, exposure_ns, track);
+            report.iter().for_each(|report| self.swarm.hear(report));
         }
-        let is_reported = self.pace.admits(stamp, exposure_ns);
+        let is_reported = self.selection.admits(stamp, exposure_ns);
         if !is_reported || !self.gathering.take(stamp, tracks, *is_last != 0, now.monotonic_ns) {
             return None;
         }
         let latency_ns = now.monotonic_ns - exposure_ns;
-        let head = Head {
-            observer: &self.observer,
-            utc: Utc {
-                stamp_ns: exposure_ns.saturating_add(now.utc_less_monotonic_ns),
-                is_synchronised: now.is_synchronised,
-            },
-            latency_ns,
+        let report = FrameReport {
+            observer: self.swarm.own().to_owned(),
+            stamp_utc_ns: exposure_ns.saturating_add(now.utc_less_monotonic_ns()),
+            clock_synchronised: now.is_synchronised,
+            latency_ms: latency_ns as f64 * 1e-6,
             odometry: self.odometry.at(exposure_ns),
+            ..self.gathering.report(now.monotonic_ns, clocks)
         };
-        let report = self.gathering.report(head, now.monotonic_ns, clocks);
-        Some(DueReport { report, latency_ns })
+        Some((report, latency_ns))
     }
 
     /// A peer's sighting. Gives it as the topic `peer` has it; none for this drone's own.
     pub(crate) fn on_sighting(&mut self, heard: &TimedSighting) -> Option<PeerSighting> {
         let report = PeerReport::from(heard);
-        (report.observer != self.observer).then(|| {
-            self.swarm.hears(&report);
-            self.swarm.peer_sighting(&report)
+        (report.observer != self.swarm.own()).then(|| {
+            self.swarm.hear(&report);
+            peer_sighting(&report, self.swarm.own())
         })
     }
 
     /// Where all drones are at an instant of CLOCK_MONOTONIC.
     pub(crate) fn swarm(&mut self, at_ns: i64) -> Vec<SwarmPose> {
-        self.swarm.poses(at_ns)
+        self.swarm.places(at_ns).iter().map(swarm_pose).collect()
     }
 
     /// The observers whose reports contradict the others', and are left out.
@@ -137,8 +121,11 @@ mod tests {
     use super::*;
     use crate::frame::tests::{frame_report, track};
 
-    const NOW: Now =
-        Now { monotonic_ns: 10_000_000_000, utc_less_monotonic_ns: 1_000, is_synchronised: true };
+    const NOW: ClockReading = ClockReading {
+        monotonic_ns: 10_000_000_000,
+        utc_ns: 10_000_001_000,
+        is_synchronised: true,
+    };
 
     fn core(report_hz: Option<f64>) -> Core {
         Core::new("wren", UnitQuaternion::identity(), Flow::Latest, report_hz)
@@ -150,15 +137,15 @@ mod tests {
         TrackHeader { stamp, ..TrackHeader::default() }
     }
 
-    fn take(core: &mut Core, sequence: u64, state: TrackState) -> Option<DueReport> {
+    fn take(core: &mut Core, sequence: u64, state: TrackState) -> Option<(FrameReport, i64)> {
         core.on_tracks(&header(sequence), &[track(state)], NOW, BTreeMap::new)
     }
 
     #[test]
     fn a_track_is_reported_at_once_with_its_exposure_on_both_clocks() {
-        let due = take(&mut core(None), 0, TrackState::Confirmed).unwrap();
-        assert_eq!(due.latency_ns, 20_000_000);
-        let FrameReport { stamp_utc_ns, latency_ms, targets, odometry, .. } = due.report;
+        let (report, latency_ns) = take(&mut core(None), 0, TrackState::Confirmed).unwrap();
+        assert_eq!(latency_ns, 20_000_000);
+        let FrameReport { stamp_utc_ns, latency_ms, targets, odometry, .. } = report;
         assert_eq!((stamp_utc_ns, latency_ms), (9_980_001_000, 20.0));
         assert_eq!((targets.len(), targets[0].name.as_str(), odometry), (1, "kite", None));
     }
@@ -174,8 +161,8 @@ mod tests {
                 ..OdometrySample::default()
             });
         }
-        let due = take(&mut core, 0, TrackState::Confirmed).unwrap();
-        let position = due.report.odometry.map(|odometry| odometry.position[0]);
+        let (report, _) = take(&mut core, 0, TrackState::Confirmed).unwrap();
+        let position = report.odometry.map(|odometry| odometry.position[0]);
         assert!(position.is_some_and(|x| (x - 2.0).abs() < 1e-9), "{position:?}");
     }
 

@@ -3,8 +3,7 @@
 use std::collections::BTreeMap;
 
 use flockeye_contract::wire::{
-    ClockOffset, Degenerate, FRAME_SCHEMA, FrameReport, Measurement, Odometry, Predicted,
-    TargetReport,
+    ClockOffset, Degenerate, FRAME_SCHEMA, FrameReport, Measurement, Predicted, TargetReport,
 };
 use flockeye_contract::{FrameStamp, MeasuredBy, Pose, Track, TrackState};
 use flockeye_convert::{matrix6, upper_triangle};
@@ -14,44 +13,22 @@ use nalgebra::{Matrix3, Vector3};
 const NOBODY_NS: i64 = 1_000_000_000;
 /// Time from one report with the peers' clocks to the next, nanoseconds.
 const CLOCKS_NS: i64 = 1_000_000_000;
-/// Above this share of the distance a deviation is no small error: the square, which a covariance leaves out, is
-/// 4 %.
+/// Above this share of the distance a deviation is no small error: the square, which a covariance
+/// leaves out, is 4 %.
 const DEGENERATE_SHARE: f64 = 0.2;
 /// Above this deviation, radians, a rotation is no small one: its sine is 4 % off.
 const DEGENERATE_ROTATION: f64 = 0.5;
 
-/// When a frame was exposed, in the world's time.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) struct Utc {
-    /// Nanoseconds since the Unix epoch.
-    pub(crate) stamp_ns: i64,
-    /// Whether the clock that says so is synchronised.
-    pub(crate) is_synchronised: bool,
-}
-
 /// Gathers the targets of a frame as they become known.
 ///
-/// Fusion publishes a pose as soon as it is known. So the report of a frame goes out with the first of its targets,
-/// and again, whole, with each further one.
+/// Fusion publishes a pose as soon as it is known. So the report of a frame goes out with the first
+/// of its targets, and again, whole, with each further one.
 #[derive(Debug, Default)]
 pub(crate) struct Gathering {
     stamp: FrameStamp,
     targets: BTreeMap<u32, TargetReport>,
     reported_ns: i64,
     clocks_reported_ns: i64,
-}
-
-/// When and by whom a frame is reported.
-#[derive(Debug, Clone)]
-pub(crate) struct Head<'h> {
-    /// The observer's name.
-    pub(crate) observer: &'h str,
-    /// When the frame was exposed.
-    pub(crate) utc: Utc,
-    /// From then to now, nanoseconds.
-    pub(crate) latency_ns: i64,
-    /// Where the observer was then.
-    pub(crate) odometry: Option<Odometry>,
 }
 
 impl Gathering {
@@ -84,10 +61,10 @@ impl Gathering {
         is_news || is_due
     }
 
-    /// The report of the frame as far as it is known. `clocks` is called when it is time for them.
+    /// The report of the frame as far as it is known; who reports it, when and from where is left
+    /// open. `clocks` is called when it is time for them.
     pub(crate) fn report(
         &mut self,
-        head: Head<'_>,
         now_ns: i64,
         clocks: impl FnOnce() -> BTreeMap<String, ClockOffset>,
     ) -> FrameReport {
@@ -97,22 +74,22 @@ impl Gathering {
         }
         FrameReport {
             schema: FRAME_SCHEMA.into(),
-            observer: head.observer.to_owned(),
+            observer: String::new(),
             frame: self.stamp.sequence,
             epoch: self.stamp.epoch,
-            stamp_utc_ns: head.utc.stamp_ns,
-            clock_synchronised: head.utc.is_synchronised,
+            stamp_utc_ns: 0,
+            clock_synchronised: false,
             stream_s: self.stamp.stream_ns as f64 * 1e-9,
-            latency_ms: head.latency_ns as f64 * 1e-6,
-            odometry: head.odometry,
+            latency_ms: 0.0,
+            odometry: None,
             clocks: if is_time { clocks() } else { BTreeMap::new() },
             targets: self.targets.values().cloned().collect(),
         }
     }
 }
 
-/// A track as a report has it. `None` for those that peers do not get: tentative tracks, which may be nobody, and
-/// states that this version does not know.
+/// A track as a report has it. `None` for those that peers do not get: tentative tracks, which may
+/// be nobody, and states that this version does not know.
 fn target_report(track: &Track, stamp: &FrameStamp) -> Option<TargetReport> {
     let state = TrackState::try_from(track.state).ok()?;
     let measured_by = MeasuredBy::try_from(track.measured_by).ok()?;
@@ -198,14 +175,12 @@ pub(crate) mod tests {
         }
     }
 
-    const UTC: Utc = Utc { stamp_ns: 7, is_synchronised: true };
-
     /// A report of `observer` on one track.
     pub(crate) fn frame_report(observer: &str, track: Track) -> FrameReport {
         let mut gathering = Gathering::default();
         assert!(gathering.take(&FrameStamp::default(), &[track], true, 0));
-        let head = Head { observer, utc: UTC, latency_ns: 0, odometry: None };
-        gathering.report(head, 0, BTreeMap::new)
+        let report = gathering.report(0, BTreeMap::new);
+        FrameReport { observer: observer.into(), stamp_utc_ns: 7, ..report }
     }
 
     #[test]
@@ -214,8 +189,7 @@ pub(crate) mod tests {
         let stamp = FrameStamp { stream_ns: 2_000_000_000, ..stamp(9) };
         assert!(gathering.take(&stamp, &[track(TrackState::Coasting)], true, 0));
         let report = report(&mut gathering, 0);
-        assert_eq!((report.observer.as_str(), report.frame, report.stream_s), ("wren", 9, 2.0));
-        assert_eq!((report.stamp_utc_ns, report.latency_ms), (7, 12.0));
+        assert_eq!((report.frame, report.stream_s), (9, 2.0));
         let kite = &report.targets[0];
         assert_eq!((kite.name.as_str(), kite.state), ("kite", TrackState::Coasting));
         assert_eq!((kite.unseen_s, kite.markers, kite.position), (0.5, 4, [1.0, 2.0, 3.0]));
@@ -229,13 +203,10 @@ pub(crate) mod tests {
         FrameStamp { sequence, exposure_ns: 33_000_000 * sequence as i64, ..FrameStamp::default() }
     }
 
-    fn head() -> Head<'static> {
-        Head { observer: "wren", utc: UTC, latency_ns: 12_000_000, odometry: None }
-    }
-
     fn report(gathering: &mut Gathering, now_ns: i64) -> FrameReport {
         let clock = ClockOffset { one_way_ms: 1.0, offset_ms: 2.0, deviation_ms: 0.5 };
-        gathering.report(head(), now_ns, || BTreeMap::from([("kite".into(), clock)]))
+        let report = gathering.report(now_ns, || BTreeMap::from([("kite".into(), clock)]));
+        FrameReport { observer: "wren".into(), ..report }
     }
 
     #[test]

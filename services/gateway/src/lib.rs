@@ -4,21 +4,21 @@
 //! | --- | --- |
 //! | `core` | what becomes of each message |
 //! | `frame` | all targets of a frame as one report |
-//! | `pace` | which frames are reported where not all are |
+//! | `selection` | which frames are reported where not all are |
 //! | `odometry` | where this drone was at an exposure |
-//! | `swarm` | where all drones are from here, by the peers' reports too |
+//! | `swarm` | where all drones are, as the topics have it |
 //! | `in_words` | the peers' state in words for people |
-//! | `guard` | links of strangers, and the end of the certificate |
+//! | `security_warnings` | links of strangers, and the end of the certificate |
 //! | `link` | the session |
 //! | `stage` | the ports around it |
 
 mod core;
 mod frame;
-mod guard;
 mod in_words;
 mod link;
 mod odometry;
-mod pace;
+mod security_warnings;
+mod selection;
 mod stage;
 mod swarm;
 

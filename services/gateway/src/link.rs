@@ -1,33 +1,31 @@
 //! The link with the swarm, and what it says in words for people.
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 use flockeye_contract::wire::{ClockOffset, FrameReport};
 use flockeye_network::{
     Listener, Network, NetworkError, NetworkParameters, ReportStream, Reporter, TimedSighting,
-    utc_from_monotonic,
 };
-use flockeye_runtime::clock;
 use flockeye_runtime::logs::Throttle;
 
-use crate::core::Now;
-use crate::guard::Guard;
 use crate::in_words::in_words;
+use crate::security_warnings::SecurityWarnings;
 
 /// Reports of peers that may wait for the next look.
 const WAITING_REPORTS: usize = 1_024;
 
 /// The session, and what is sent and received by it.
-pub(crate) struct Link {
+pub(crate) struct SwarmLink {
     network: Network,
-    guard: Guard,
+    security: SecurityWarnings,
     reporter: Reporter,
     listener: Listener,
-    reports: ReportStream,
+    reports: Arc<ReportStream>,
     failures: Throttle,
 }
 
-impl Link {
+impl SwarmLink {
     /// Opens the session.
     ///
     /// # Errors
@@ -39,7 +37,7 @@ impl Link {
         let reporter = network.reporter()?;
         Ok(Self {
             network,
-            guard: Guard::default(),
+            security: SecurityWarnings::default(),
             reporter,
             listener,
             reports,
@@ -63,7 +61,8 @@ impl Link {
         self.reports.try_recv()
     }
 
-    /// How the peers' clocks differ from this machine's, whose UTC is so far ahead of CLOCK_MONOTONIC.
+    /// How the peers' clocks differ from this machine's, whose UTC is so far ahead of
+    /// CLOCK_MONOTONIC.
     pub(crate) fn clocks(&self, utc_less_monotonic_ns: i64) -> BTreeMap<String, ClockOffset> {
         let clocks = self.listener.snapshot().clocks(utc_less_monotonic_ns);
         clocks.into_iter().map(|(peer, clock)| (peer, clock.to_wire())).collect()
@@ -71,14 +70,7 @@ impl Link {
 
     /// Logs what has happened to the link itself, and gives who is there in words.
     pub(crate) fn look(&mut self, own_name: &str, left_out: &[String]) -> String {
-        self.guard.look(&self.network);
+        self.security.look(&self.network);
         in_words(&self.listener.snapshot(), own_name, left_out)
     }
-}
-
-/// This machine's clocks now.
-pub(crate) fn now() -> Now {
-    let monotonic_ns = clock::monotonic_ns();
-    let (utc_ns, is_synchronised) = utc_from_monotonic(monotonic_ns);
-    Now { monotonic_ns, utc_less_monotonic_ns: utc_ns - monotonic_ns, is_synchronised }
 }

@@ -11,12 +11,12 @@ use nalgebra::{Isometry3, Matrix6, Vector3};
 pub(crate) struct OwnOdometry {
     /// Generation and epoch of the samples.
     origin: Option<(u32, u32)>,
-    motions: Timeline<Motion>,
+    motions: Timeline<OwnMotion>,
 }
 
 /// How the drone moves at one instant.
 #[derive(Debug, Clone, PartialEq)]
-struct Motion {
+struct OwnMotion {
     odom_from_observer: Isometry3<f64>,
     covariance: Matrix6<f64>,
     linear_m_s: Vector3<f64>,
@@ -31,7 +31,7 @@ impl OwnOdometry {
             self.origin = origin;
             self.motions.clear();
         }
-        let motion = Motion {
+        let motion = OwnMotion {
             odom_from_observer: isometry(&sample.odom_from_observer),
             covariance: matrix6(&sample.covariance),
             linear_m_s: sample.linear_velocity.into(),
@@ -55,14 +55,12 @@ impl OwnOdometry {
     }
 }
 
-impl Interpolate for Motion {
+impl Interpolate for OwnMotion {
     fn between(&self, later: &Self, share: f64) -> Option<Self> {
-        let [a, b] = [self, later].map(|motion| motion.odom_from_observer);
-        // None between opposite attitudes, where there is no shorter way round.
-        let rotation = a.rotation.try_slerp(&b.rotation, share, 1e-9)?;
-        let position = a.translation.vector.lerp(&b.translation.vector, share);
         Some(Self {
-            odom_from_observer: Isometry3::from_parts(position.into(), rotation),
+            odom_from_observer: self
+                .odom_from_observer
+                .between(&later.odom_from_observer, share)?,
             covariance: self.covariance + (later.covariance - self.covariance) * share,
             linear_m_s: self.linear_m_s.lerp(&later.linear_m_s, share),
             angular_rad_s: self.angular_rad_s.lerp(&later.angular_rad_s, share),

@@ -1,15 +1,16 @@
 //! The ports around the core, and the link.
 
+use flockeye_contract::wire::FrameReport;
 use flockeye_contract::{
     Odometries, PeerHeader, Peers, Rotations, StageState, SwarmHeader, Swarms, Tracks,
 };
-use flockeye_network::NetworkParameters;
+use flockeye_network::{ClockReading, NetworkParameters};
 use flockeye_runtime::health::SharedCounters;
 use flockeye_runtime::ports::{Ports, Publisher, Subscriber};
 use flockeye_runtime::{Context, Stage, Step, clock};
 
-use crate::core::{Core, DueReport};
-use crate::link::{self, Link};
+use crate::core::Core;
+use crate::link::SwarmLink;
 
 /// How often a network that cannot be had is tried again, nanoseconds.
 const RETRY_NS: i64 = 5_000_000_000;
@@ -30,7 +31,7 @@ pub(crate) struct GatewayStage {
     peers: Publisher<Peers>,
     swarms: Publisher<Swarms>,
     parameters: NetworkParameters,
-    link: Option<Link>,
+    link: Option<SwarmLink>,
     core: Core,
     generation: u32,
     retry_ns: i64,
@@ -79,14 +80,15 @@ impl Stage for GatewayStage {
             self.core.on_odometry(&message.header);
         }
         while let Some(message) = self.tracks.receive()? {
-            let (now, link) = (link::now(), &self.link);
-            let clocks =
-                || link.iter().flat_map(|link| link.clocks(now.utc_less_monotonic_ns)).collect();
-            if let Some(due) = self.core.on_tracks(&message.header, message.items(), now, clocks) {
-                self.send(due);
+            let (now, link) = (ClockReading::now(), &self.link);
+            let ahead_ns = now.utc_less_monotonic_ns();
+            let clocks = || link.iter().flat_map(|link| link.clocks(ahead_ns)).collect();
+            let due = self.core.on_tracks(&message.header, message.items(), now, clocks);
+            if let Some((report, latency_ns)) = due {
+                self.send(report, latency_ns);
             }
         }
-        while let Some(heard) = self.link.as_ref().and_then(Link::next_sighting) {
+        while let Some(heard) = self.link.as_ref().and_then(SwarmLink::next_sighting) {
             if let Some(sighting) = self.core.on_sighting(&heard) {
                 let (arrived_ns, generation) = (heard.arrived_monotonic_ns, self.generation);
                 self.peers.send(PeerHeader { arrived_ns, generation, reserved: 0 }, &[sighting])?;
@@ -109,7 +111,7 @@ impl Stage for GatewayStage {
 
 impl GatewayStage {
     fn connect(&mut self) {
-        match Link::open(&self.parameters) {
+        match SwarmLink::open(&self.parameters) {
             Ok(link) => {
                 self.link = Some(link);
                 self.counters.set_state(None);
@@ -123,15 +125,15 @@ impl GatewayStage {
         }
     }
 
-    fn send(&mut self, due: DueReport) {
+    fn send(&mut self, report: FrameReport, latency_ns: i64) {
         let Some(link) = &mut self.link else { return self.counters.add_dropped(1) };
-        let has_targets = !due.report.targets.is_empty();
-        if !link.send(due.report) {
+        let has_targets = !report.targets.is_empty();
+        if !link.send(report) {
             return self.counters.add_failed(1);
         }
         self.counters.add_published(1);
         if has_targets {
-            self.counters.add_latency_ns(due.latency_ns);
+            self.counters.add_latency_ns(latency_ns);
         }
     }
 

@@ -60,13 +60,13 @@ pub enum News {
 
 /// The thread that reads. Dropping it stops it.
 #[derive(Debug)]
-pub struct Autopilot {
+pub struct SampleReceiver {
     news: Receiver<News>,
     stopping: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
 }
 
-impl Autopilot {
+impl SampleReceiver {
     /// Begins to listen.
     ///
     /// # Errors
@@ -94,7 +94,7 @@ impl Autopilot {
     }
 }
 
-impl Drop for Autopilot {
+impl Drop for SampleReceiver {
     fn drop(&mut self) {
         self.stopping.store(true, Ordering::Relaxed);
         if let Some(thread) = self.thread.take()
@@ -162,7 +162,6 @@ impl Line {
 /// What is sent to the autopilot, and when.
 #[derive(Debug, Default)]
 struct Dialogue {
-    /// The autopilot's system.
     system: Option<u8>,
     heartbeat: Option<Instant>,
     sampled: Option<Instant>,

@@ -3,7 +3,7 @@
 use flockeye_contract::{ImuSample, MAX_IMU_RATE};
 
 use crate::message::{AutopilotSample, MessageKind};
-use crate::sensor_clock::{ClockReading, SensorClock};
+use crate::sensor_clock::SensorClock;
 
 /// Time without samples after which another autopilot, or another message, is taken, nanoseconds.
 const SILENT_NS: i64 = 1_000_000_000;
@@ -18,9 +18,10 @@ pub(crate) const AUTOPILOT: u8 = 1;
 /// The samples of one sensor.
 #[derive(Debug, Default)]
 pub(crate) struct Core {
-    clock: SensorClock,
+    clock: Option<SensorClock>,
     last: Option<LastSample>,
-    epoch: u32,
+    /// Rises each time the sensor's clock begins anew.
+    pub(crate) epoch: u32,
     has_begun: bool,
     last_at_ns: i64,
 }
@@ -53,12 +54,12 @@ impl Core {
         // Another sensor has another clock.
         let is_another = last.is_none_or(|last| last.kind != sample.kind);
         if is_another {
-            self.clock = SensorClock::default();
+            self.clock = None;
         }
         self.last = Some(LastSample { sender, kind: sample.kind, at_ns: arrived_ns });
         // Autopilots count from their start, or from 1970: both fit.
         let sensor_ns = i64::try_from(sample.time_us).ok()?.checked_mul(1000)?;
-        let ClockReading { at_ns, begins_anew } = self.clock.map(sensor_ns, arrived_ns);
+        let (at_ns, begins_anew) = SensorClock::map(&mut self.clock, sensor_ns, arrived_ns);
         if begins_anew && std::mem::replace(&mut self.has_begun, true) {
             self.epoch += 1;
             self.last_at_ns = i64::MIN;
@@ -69,11 +70,6 @@ impl Core {
         self.last_at_ns = at_ns;
         let AutopilotSample { rate, specific_force, .. } = *sample;
         Some(ImuSample { at_ns, rate, specific_force })
-    }
-
-    /// Rises each time the sensor's clock begins anew.
-    pub(crate) fn epoch(&self) -> u32 {
-        self.epoch
     }
 
     /// Whether samples have come within the last second, and in which message.
@@ -135,7 +131,7 @@ mod tests {
         let mut at = |time_ms: u64, arrived_ms: i64| {
             let sample = sample(MessageKind::HighresImu, time_ms);
             let sent = core.on_sample(OURS, &sample, arrived_ms * MS);
-            (sent.map(|sample| sample.at_ns / MS), core.epoch())
+            (sent.map(|sample| sample.at_ns / MS), core.epoch)
         };
         assert_eq!(at(60_000, 100), (Some(100), 0));
         // This one came sooner after it was taken: the clocks are 2 ms closer than it seemed.

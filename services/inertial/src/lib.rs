@@ -6,7 +6,7 @@
 //! | `message` | which MAVLink messages are samples, along Flockeye's axes |
 //! | `sensor_clock` | the autopilot's time on this machine's clock |
 //! | `core` | which of the samples go out |
-//! | `line_watch` | whether samples come |
+//! | `line_activity` | whether samples come |
 //! | `stage` | the port |
 //!
 //! Whether the samples are right is egomotion's to judge, by the picture.
@@ -15,7 +15,7 @@
 
 pub mod autopilot;
 mod core;
-mod line_watch;
+mod line_activity;
 mod message;
 mod sensor_clock;
 mod stage;

@@ -14,13 +14,8 @@ const HALF_WINDOW_NS: i64 = 2_500_000_000;
 const LEAP_NS: i64 = 1_000_000_000;
 
 /// Maps the sensor's time to CLOCK_MONOTONIC.
-#[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub(crate) struct SensorClock {
-    state: Option<State>,
-}
-
 #[derive(Debug, Clone, PartialEq, Eq)]
-struct State {
+pub(crate) struct SensorClock {
     last_sensor_ns: i64,
     /// When this half of the window began, and the least differences in it and in the one before.
     half_began_ns: i64,
@@ -28,40 +23,32 @@ struct State {
     least_before_ns: i64,
 }
 
-/// A sensor's time on this machine's clock.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) struct ClockReading {
-    /// CLOCK_MONOTONIC, nanoseconds.
-    pub at_ns: i64,
-    /// Whether the sensor's clock has begun anew with it.
-    pub begins_anew: bool,
-}
-
 impl SensorClock {
-    /// Maps a sensor time that arrived at `arrived_ns` (CLOCK_MONOTONIC).
-    pub(crate) fn map(&mut self, sensor_ns: i64, arrived_ns: i64) -> ClockReading {
+    /// Maps a sensor time that arrived at `arrived_ns` to this machine's clock (both
+    /// CLOCK_MONOTONIC), and says whether the sensor's clock has begun anew with it.
+    pub(crate) fn map(known: &mut Option<Self>, sensor_ns: i64, arrived_ns: i64) -> (i64, bool) {
         let difference_ns = arrived_ns - sensor_ns;
-        let state = self.state.take().filter(|state| {
-            let least_ns = state.least_ns.min(state.least_before_ns);
-            sensor_ns > state.last_sensor_ns - LEAP_NS && (difference_ns - least_ns).abs() < LEAP_NS
+        let before = known.take().filter(|clock| {
+            let least_ns = clock.least_ns.min(clock.least_before_ns);
+            sensor_ns > clock.last_sensor_ns - LEAP_NS && (difference_ns - least_ns).abs() < LEAP_NS
         });
-        let begins_anew = state.is_none();
-        let mut state = state.unwrap_or(State {
+        let begins_anew = before.is_none();
+        let mut clock = before.unwrap_or(Self {
             last_sensor_ns: sensor_ns,
             half_began_ns: arrived_ns,
             least_ns: difference_ns,
             least_before_ns: difference_ns,
         });
-        if arrived_ns - state.half_began_ns > HALF_WINDOW_NS {
-            state.half_began_ns = arrived_ns;
-            state.least_before_ns = state.least_ns;
-            state.least_ns = difference_ns;
+        if arrived_ns - clock.half_began_ns > HALF_WINDOW_NS {
+            clock.half_began_ns = arrived_ns;
+            clock.least_before_ns = clock.least_ns;
+            clock.least_ns = difference_ns;
         }
-        state.least_ns = state.least_ns.min(difference_ns);
-        state.last_sensor_ns = sensor_ns.max(state.last_sensor_ns);
-        let at_ns = sensor_ns + state.least_ns.min(state.least_before_ns);
-        self.state = Some(state);
-        ClockReading { at_ns, begins_anew }
+        clock.least_ns = clock.least_ns.min(difference_ns);
+        clock.last_sensor_ns = sensor_ns.max(clock.last_sensor_ns);
+        let at_ns = sensor_ns + clock.least_ns.min(clock.least_before_ns);
+        *known = Some(clock);
+        (at_ns, begins_anew)
     }
 }
 
@@ -73,14 +60,15 @@ mod tests {
 
     #[test]
     fn delays_do_not_move_the_time() {
-        let mut clock = SensorClock::default();
+        let mut clock = None;
         for k in 0..4000i64 {
             let sensor_ns = 5 * MS * k;
             // Ways from 2 to 20 ms.
             let way_ns = 2 * MS + (k * 7919 % 19) * MS;
-            let mapped = clock.map(sensor_ns, 90_000 * MS + sensor_ns + way_ns);
-            assert_eq!(mapped.begins_anew, k == 0);
-            let off_ns = mapped.at_ns - (90_000 * MS + sensor_ns + 2 * MS);
+            let (at_ns, begins_anew) =
+                SensorClock::map(&mut clock, sensor_ns, 90_000 * MS + sensor_ns + way_ns);
+            assert_eq!(begins_anew, k == 0);
+            let off_ns = at_ns - (90_000 * MS + sensor_ns + 2 * MS);
             assert!((0..=18 * MS).contains(&off_ns));
             assert!(k < 19 || off_ns == 0, "sample {k}: {off_ns}");
         }
@@ -88,26 +76,26 @@ mod tests {
 
     #[test]
     fn a_clock_that_drifts_is_followed() {
-        let mut clock = SensorClock::default();
+        let mut clock = None;
         for k in 0..20_000i64 {
             let sensor_ns = 5 * MS * k;
             // It loses 50 us in a second.
             let arrived_ns = sensor_ns + sensor_ns / 20_000 + (k % 3) * MS;
-            let off_ns = clock.map(sensor_ns, arrived_ns).at_ns - (sensor_ns + sensor_ns / 20_000);
+            let off_ns = SensorClock::map(&mut clock, sensor_ns, arrived_ns).0
+                - (sensor_ns + sensor_ns / 20_000);
             assert!(off_ns.abs() < 2 * MS, "sample {k}: {off_ns}");
         }
     }
 
     #[test]
     fn a_restart_and_a_leap_begin_anew() {
-        let mut clock = SensorClock::default();
-        assert!(clock.map(50_000 * MS, 1000 * MS).begins_anew);
-        assert!(!clock.map(50_005 * MS, 1005 * MS).begins_anew);
+        let mut clock = None;
+        assert!(SensorClock::map(&mut clock, 50_000 * MS, 1000 * MS).1);
+        assert!(!SensorClock::map(&mut clock, 50_005 * MS, 1005 * MS).1);
         // A message that overtook another is no restart.
-        assert!(!clock.map(50_001 * MS, 1006 * MS).begins_anew);
-        let restarted = clock.map(100 * MS, 9000 * MS);
-        assert_eq!(restarted, ClockReading { at_ns: 9000 * MS, begins_anew: true });
+        assert!(!SensorClock::map(&mut clock, 50_001 * MS, 1006 * MS).1);
+        assert_eq!(SensorClock::map(&mut clock, 100 * MS, 9000 * MS), (9000 * MS, true));
         // It got the date from a satellite.
-        assert!(clock.map(1_700_000_000_000 * MS, 9005 * MS).begins_anew);
+        assert!(SensorClock::map(&mut clock, 1_700_000_000_000 * MS, 9005 * MS).1);
     }
 }

@@ -10,9 +10,9 @@ use flockeye_runtime::logs::Throttle;
 use flockeye_runtime::ports::{Ports, Publisher};
 use flockeye_runtime::{Context, Stage, Step, clock};
 
-use crate::autopilot::{Autopilot, News};
+use crate::autopilot::{News, SampleReceiver};
 use crate::core::Core;
-use crate::line_watch::{LineChange, LineWatch};
+use crate::line_activity::{LineActivity, LineChange};
 use crate::message::MessageKind;
 
 /// How long the autopilot is waited for between two looks at everything else.
@@ -21,13 +21,13 @@ const WAIT: Duration = Duration::from_millis(20);
 /// Takes nothing; gives the samples of an autopilot's inertial sensor.
 pub(crate) struct InertialStage {
     imus: Publisher<Imus>,
-    autopilot: Autopilot,
+    autopilot: SampleReceiver,
     core: Core,
     source: String,
     generation: u32,
     counters: SharedCounters,
     losses: Throttle,
-    line: LineWatch,
+    line: LineActivity,
 }
 
 impl Stage for InertialStage {
@@ -41,13 +41,13 @@ impl Stage for InertialStage {
         };
         Ok(Self {
             imus: ports.publisher()?,
-            autopilot: Autopilot::listen(address).context("a thread that reads")?,
+            autopilot: SampleReceiver::listen(address).context("a thread that reads")?,
             core: Core::default(),
             source: inertial.source.clone(),
             generation: context.identity.generation,
             counters: context.counters.clone(),
             losses: Throttle::default(),
-            line: LineWatch::default(),
+            line: LineActivity::default(),
         })
     }
 
@@ -58,15 +58,15 @@ impl Stage for InertialStage {
         for _ in 0..MAX_IMU_SAMPLES {
             let Some(news) = self.autopilot.next(patience)? else { break };
             patience = Duration::ZERO;
-            let epoch = self.core.epoch();
+            let epoch = self.core.epoch;
             let sample = self.on_news(news);
             // A message has samples of one clock.
-            if self.core.epoch() != epoch {
+            if self.core.epoch != epoch {
                 self.send(epoch, &std::mem::take(&mut samples))?;
             }
             samples.extend(sample);
         }
-        self.send(self.core.epoch(), &samples)?;
+        self.send(self.core.epoch, &samples)?;
         self.watch();
         Ok(Step::Again)
     }

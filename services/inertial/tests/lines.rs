@@ -7,7 +7,7 @@ use std::net::UdpSocket;
 use std::time::{Duration, Instant};
 
 use flockeye_config::MavlinkAddress;
-use flockeye_inertial::autopilot::{Autopilot, News};
+use flockeye_inertial::autopilot::{News, SampleReceiver};
 use mavlink::dialects::common::{
     HEARTBEAT_DATA, HIGHRES_IMU_DATA, HighresImuUpdatedFlags, MavCmd, MavMessage,
 };
@@ -32,7 +32,7 @@ fn imu(time_us: u64) -> MavMessage {
 }
 
 /// The next sample, or what was said instead.
-fn next(autopilot: &Autopilot) -> News {
+fn next(autopilot: &SampleReceiver) -> News {
     let began = Instant::now();
     while began.elapsed() < PATIENCE {
         if let Some(news) = autopilot.next(Duration::from_millis(50)).unwrap() {
@@ -52,7 +52,7 @@ fn assert_sample(news: &News, wanted_us: u64) {
 #[test]
 fn an_autopilot_over_udp_is_heard_and_asked_for_samples() {
     let port = UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
-    let ours = Autopilot::listen(MavlinkAddress::UdpIn(port)).unwrap();
+    let ours = SampleReceiver::listen(MavlinkAddress::UdpIn(port)).unwrap();
     assert!(matches!(next(&ours), News::Opened));
     let theirs: Connection<MavMessage> = UdpConfig::new(port.to_string(), UdpMode::Udpout)
         .read_timeout(Duration::from_millis(100))
@@ -103,7 +103,7 @@ fn an_autopilot_over_udp_is_heard_and_asked_for_samples() {
 fn a_port_that_is_taken_is_said() {
     let taken = UdpSocket::bind("127.0.0.1:0").unwrap();
     let address = taken.local_addr().unwrap();
-    let ours = Autopilot::listen(MavlinkAddress::UdpIn(address)).unwrap();
+    let ours = SampleReceiver::listen(MavlinkAddress::UdpIn(address)).unwrap();
     let news = next(&ours);
     assert!(matches!(&news, News::Lost { reason } if reason.contains("in use")), "{news:?}");
     // It is opened once it is free.
@@ -117,7 +117,7 @@ fn an_autopilot_on_a_serial_line_is_heard_and_its_loss_is_said() {
     grantpt(&controller).unwrap();
     unlockpt(&controller).unwrap();
     let device = ptsname(&controller, Vec::new()).unwrap().into_string().unwrap();
-    let ours = Autopilot::listen(MavlinkAddress::Serial { device, baud: 115_200 }).unwrap();
+    let ours = SampleReceiver::listen(MavlinkAddress::Serial { device, baud: 115_200 }).unwrap();
     assert!(matches!(next(&ours), News::Opened));
     let mut theirs = File::from(controller);
     for time_us in [1000, 6000] {
@@ -135,7 +135,7 @@ fn an_autopilot_on_a_serial_line_is_heard_and_its_loss_is_said() {
 #[test]
 fn a_device_that_does_not_exist_is_said() {
     let address = MavlinkAddress::Serial { device: "/dev/no-such-line".into(), baud: 57_600 };
-    let ours = Autopilot::listen(address).unwrap();
+    let ours = SampleReceiver::listen(address).unwrap();
     let news = next(&ours);
     assert!(matches!(&news, News::Lost { reason } if reason.contains("No such file")), "{news:?}");
 }

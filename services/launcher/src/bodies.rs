@@ -1,30 +1,14 @@
 //! `flockeye bodies`: the configured marker bodies.
 
-use clap::Args;
 use flockeye_cli::text_table::TextTable;
 use flockeye_cli::{Configuration, Screen};
 use flockeye_config::Resolved;
 use flockeye_runtime::resolved_file;
 
-/// Arguments of `bodies`.
-#[derive(Debug, Args)]
-pub(crate) struct BodiesArguments {
-    /// Which configuration.
-    #[command(flatten)]
-    pub configuration: Configuration,
-    /// Print every marker's corners and every facet, as a bodies file has them.
-    #[arg(long)]
-    pub json: bool,
-}
-
-/// Prints them.
-///
-/// # Errors
-/// The configuration or the bodies cannot be read.
-pub(crate) fn run(arguments: &BodiesArguments) -> anyhow::Result<()> {
-    let resolved = Resolved::of(arguments.configuration.load()?)?;
+pub(crate) fn run(configuration: &Configuration, json: bool) -> anyhow::Result<()> {
+    let resolved = Resolved::of(configuration.load()?)?;
     let mut screen = Screen::new();
-    if arguments.json {
+    if json {
         screen.line(&serde_json::to_string_pretty(&resolved_file::bodies(&resolved))?);
         return Ok(());
     }

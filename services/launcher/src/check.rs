@@ -4,8 +4,7 @@ use std::fmt::Write;
 use std::time::Duration;
 
 use anyhow::{Context, ensure};
-use clap::Args;
-use flockeye_cli::{Configuration, Screen, duration, signals};
+use flockeye_cli::{Configuration, Screen, signals};
 use flockeye_config::{FrameLimit, RecordingTrigger, Resolved};
 use flockeye_dictionary::Dictionary;
 use flockeye_geometry::partition;
@@ -16,24 +15,9 @@ use flockeye_runtime::memory::{Budget, shared_memory_space};
 use crate::run_log::RunOptions;
 use crate::up::run_pipeline;
 
-/// Arguments of `check`.
-#[derive(Debug, Args)]
-pub(crate) struct CheckArguments {
-    /// Which configuration.
-    #[command(flatten)]
-    pub configuration: Configuration,
-    /// Run it for this long, and say how soon an untracked target is found on this machine.
-    #[arg(long, value_name = "DURATION", value_parser = duration)]
-    pub measure: Option<Duration>,
-}
-
 /// Checks the configuration, and prints what it means.
-///
-/// # Errors
-/// The configuration is wrong (all problems are listed), or shared memory is too small.
-pub(crate) fn run(arguments: &CheckArguments) -> anyhow::Result<()> {
-    let pipeline = arguments.configuration.load()?;
-    let resolved = Resolved::of(pipeline)?;
+pub(crate) fn run(configuration: &Configuration, measure: Option<Duration>) -> anyhow::Result<()> {
+    let resolved = Resolved::of(configuration.load()?)?;
     Dictionary::of(&resolved.bodies)?;
     if resolved.pipeline.gateway.enabled {
         NetworkParameters::of_drone(&resolved.pipeline).check()?;
@@ -45,21 +29,21 @@ pub(crate) fn run(arguments: &CheckArguments) -> anyhow::Result<()> {
     screen.line(&format!("/dev/shm has {:.0} MB free", free as f64 / 1e6));
     budget.check(free, total)?;
     screen.line("everything is in order");
-    if let Some(duration) = arguments.measure {
-        screen.line(&measured(arguments, duration)?);
+    if let Some(duration) = measure {
+        screen.line(&measured(configuration, duration)?);
     }
     Ok(())
 }
 
 /// Measures this machine by a short run in an instance of its own.
-fn measured(arguments: &CheckArguments, duration: Duration) -> anyhow::Result<String> {
+fn measured(configuration: &Configuration, duration: Duration) -> anyhow::Result<String> {
     let own = [
         format!("instance=m{}", std::process::id()),
         "gateway.enabled=false".to_owned(),
         // This is no flight.
         "recording.folder=null".to_owned(),
     ];
-    let pipeline = arguments.configuration.load_with(&[], &own)?;
+    let pipeline = configuration.load_with(&[], &own)?;
     let options =
         RunOptions { duration: Some(duration), watches_sweep: true, ..RunOptions::default() };
     let mut log = Screen::muted();

@@ -2,24 +2,12 @@
 //! touched.
 
 use anyhow::Context;
-use clap::Args;
 use flockeye_cli::Screen;
 use flockeye_runtime::instance::{Instance, InstanceError};
 
-/// Arguments of `clean`.
-#[derive(Debug, Args)]
-pub(crate) struct CleanArguments {
-    /// Only this instance.
-    #[arg(long, value_name = "NAME")]
-    pub instance: Option<String>,
-}
-
 /// Removes the files of dead runs, and lists them.
-///
-/// # Errors
-/// The files cannot be removed, or there are none of that name.
-pub(crate) fn run(arguments: &CleanArguments) -> anyhow::Result<()> {
-    let instances = match &arguments.instance {
+pub(crate) fn run(name: Option<&str>) -> anyhow::Result<()> {
+    let instances = match name {
         Some(name) => {
             let all = Instance::all();
             let names = all.iter().map(Instance::name).collect::<Vec<_>>().join(", ");

@@ -1,21 +1,21 @@
 //! The command line.
 
-use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
-use flockeye_cli::{lab, replay, workshop};
+use std::path::PathBuf;
+use std::time::Duration;
 
-use crate::bodies::{self, BodiesArguments};
-use crate::check::{self, CheckArguments};
-use crate::clean::{self, CleanArguments};
-use crate::doctor::{self, DoctorArguments};
+use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
+use flockeye_cli::running::PipelineChoice;
+use flockeye_cli::{Configuration, Screen, duration, lab, replay, workshop};
+
+use crate::control::{ControlRequest, WorkerName};
 use crate::exec::{self, ExecArguments};
 use crate::keys::{self, KeysCommand};
-use crate::manage::{self, StatusArguments, StopArguments, SwapArguments, WorkerArguments};
-use crate::other_programs::{self, PassedOn};
+use crate::manage::{self, SwapArguments};
+use crate::other_programs;
 use crate::peers::{self, PeersArguments};
-use crate::schema;
+use crate::run_log::RunOptions;
 use crate::top::{self, TopArguments};
-use crate::trace::{self, TraceArguments};
-use crate::up::{self, UpArguments};
+use crate::{bodies, check, clean, doctor, trace, up};
 
 /// Eyes for a flock: neighbours' poses from a spherical camera.
 #[derive(Debug, Parser)]
@@ -31,22 +31,63 @@ struct Flockeye {
 #[derive(Debug, Subcommand)]
 enum FlockeyeCommand {
     /// Run a pipeline until its source ends, or until Ctrl-C.
-    Up(UpArguments),
+    Up {
+        #[command(flatten)]
+        configuration: Configuration,
+        #[command(flatten)]
+        options: RunOptions,
+    },
     /// Check a configuration, and say what it means on this machine.
-    Check(CheckArguments),
+    Check {
+        #[command(flatten)]
+        configuration: Configuration,
+        /// Run it for this long, and say how soon an untracked target is found on this machine.
+        #[arg(long, value_name = "DURATION", value_parser = duration)]
+        measure: Option<Duration>,
+    },
     /// Look for everything on this machine that could keep it from flying, and say what to do about
     /// it.
-    Doctor(DoctorArguments),
+    Doctor {
+        #[command(flatten)]
+        configuration: Configuration,
+        /// Print what is found as JSON.
+        #[arg(long)]
+        json: bool,
+    },
     /// Show a running pipeline's processes.
-    Status(StatusArguments),
+    Status {
+        #[command(flatten)]
+        running: PipelineChoice,
+        /// JSON.
+        #[arg(long)]
+        json: bool,
+    },
     /// Replace a stage's process in flight by another one, so that no frame is lost.
     Swap(SwapArguments),
     /// End a stage of a running pipeline, or the whole pipeline.
-    Stop(StopArguments),
+    Stop {
+        /// The stage, or one worker of it: detection.1. Without it: the whole pipeline.
+        #[arg(value_name = "STAGE[.REPLICA]")]
+        worker: Option<WorkerName>,
+        #[command(flatten)]
+        running: PipelineChoice,
+    },
     /// Start a stage of a running pipeline that was ended.
-    Start(WorkerArguments),
+    Start {
+        /// The stage, or one worker of it: detection.1.
+        #[arg(value_name = "STAGE[.REPLICA]")]
+        worker: WorkerName,
+        #[command(flatten)]
+        running: PipelineChoice,
+    },
     /// End a stage of a running pipeline, and start it again.
-    Restart(WorkerArguments),
+    Restart {
+        /// The stage, or one worker of it: detection.1.
+        #[arg(value_name = "STAGE[.REPLICA]")]
+        worker: WorkerName,
+        #[command(flatten)]
+        running: PipelineChoice,
+    },
     #[command(about = workshop::CHAOS.about)]
     Chaos,
     /// Show what a running pipeline's stages do, and how old its poses are.
@@ -54,7 +95,16 @@ enum FlockeyeCommand {
     /// Show what a running pipeline sees, on a page in the browser.
     View,
     /// Record the path of frames through a running pipeline, for Perfetto (ui.perfetto.dev).
-    Trace(TraceArguments),
+    Trace {
+        #[command(flatten)]
+        running: PipelineChoice,
+        /// The trace, in Chrome's JSON format.
+        #[arg(long, value_name = "FILE.json")]
+        out: PathBuf,
+        /// How long to record: 10s, 1m.
+        #[arg(long = "for", value_name = "DURATION", value_parser = duration, default_value = "5s")]
+        duration: Duration,
+    },
     /// Record a running pipeline's messages to an MCAP file (by flockeye-recorder).
     Record,
     #[command(about = replay::REPLAY.about)]
@@ -69,11 +119,21 @@ enum FlockeyeCommand {
     #[command(subcommand)]
     Keys(KeysCommand),
     /// Remove what dead runs left in shared memory.
-    Clean(CleanArguments),
+    Clean {
+        /// Only this instance.
+        #[arg(long, value_name = "NAME")]
+        instance: Option<String>,
+    },
     /// Print the JSON Schema of pipeline.yaml.
     Schema,
     /// Show the configured marker bodies.
-    Bodies(BodiesArguments),
+    Bodies {
+        #[command(flatten)]
+        configuration: Configuration,
+        /// Print every marker's corners and every facet, as a bodies file has them.
+        #[arg(long)]
+        json: bool,
+    },
     #[command(about = workshop::CONTRACT.about)]
     Contract,
     #[command(about = workshop::STAGE.about)]
@@ -89,22 +149,28 @@ enum FlockeyeCommand {
 /// As the command.
 pub fn run() -> anyhow::Result<()> {
     let arguments: Vec<_> = std::env::args_os().skip(1).collect();
-    if let Some(command) = PassedOn::of(&arguments) {
-        return command.become_program();
+    if let Some(program) = other_programs::program_for(&arguments) {
+        return other_programs::become_program(program, &arguments);
     }
     let matches = command().get_matches();
     let command = Flockeye::from_arg_matches(&matches).unwrap_or_else(|error| error.exit()).command;
     match command {
-        FlockeyeCommand::Up(arguments) => up::run(&arguments),
-        FlockeyeCommand::Check(arguments) => check::run(&arguments),
-        FlockeyeCommand::Doctor(arguments) => doctor::run(&arguments),
-        FlockeyeCommand::Status(arguments) => manage::status(&arguments),
+        FlockeyeCommand::Up { configuration, options } => up::run(&configuration, &options),
+        FlockeyeCommand::Check { configuration, measure } => check::run(&configuration, measure),
+        FlockeyeCommand::Doctor { configuration, json } => doctor::run(&configuration, json),
+        FlockeyeCommand::Status { running, json } => {
+            manage::ask_and_show(&running, &ControlRequest::Status, json)
+        }
         FlockeyeCommand::Swap(arguments) => manage::swap(&arguments),
-        FlockeyeCommand::Stop(arguments) => manage::stop(&arguments),
-        FlockeyeCommand::Start(arguments) => manage::start(&arguments),
-        FlockeyeCommand::Restart(arguments) => manage::restart(&arguments),
+        FlockeyeCommand::Stop { worker, running } => manage::stop(worker, &running),
+        FlockeyeCommand::Start { worker, running } => {
+            manage::ask_and_show(&running, &ControlRequest::Start { worker }, false)
+        }
+        FlockeyeCommand::Restart { worker, running } => {
+            manage::ask_and_show(&running, &ControlRequest::Restart { worker }, false)
+        }
         FlockeyeCommand::Top(arguments) => top::run(&arguments),
-        FlockeyeCommand::Trace(arguments) => trace::run(&arguments),
+        FlockeyeCommand::Trace { running, out, duration } => trace::run(&running, &out, duration),
         // They were passed on, unless something else comes first.
         FlockeyeCommand::Record
         | FlockeyeCommand::View
@@ -118,9 +184,13 @@ pub fn run() -> anyhow::Result<()> {
         }
         FlockeyeCommand::Peers(arguments) => peers::run(&arguments),
         FlockeyeCommand::Keys(command) => keys::run(&command),
-        FlockeyeCommand::Clean(arguments) => clean::run(&arguments),
-        FlockeyeCommand::Schema => schema::run(),
-        FlockeyeCommand::Bodies(arguments) => bodies::run(&arguments),
+        FlockeyeCommand::Clean { instance } => clean::run(instance.as_deref()),
+        FlockeyeCommand::Schema => {
+            let schema = serde_json::to_string_pretty(&flockeye_config::json_schema())?;
+            Screen::new().line(&schema);
+            Ok(())
+        }
+        FlockeyeCommand::Bodies { configuration, json } => bodies::run(&configuration, json),
         FlockeyeCommand::ExecStage(arguments) => exec::run(&arguments),
     }
 }

@@ -21,18 +21,12 @@ const MEMORY: Duration = Duration::from_secs(60);
 /// given up for good. A wrong program is tried twice a minute.
 const REST: Duration = Duration::from_secs(30);
 
-/// How often a worker was replaced because of what it sent.
-#[derive(Debug, Default)]
-pub struct Replacements(Vec<Instant>);
-
-impl Replacements {
-    /// Notes one more at `now`. Returns how long the worker rests before it is started again; none:
-    /// it does not rest.
-    pub fn rest_before_next(&mut self, now: Instant) -> Option<Duration> {
-        self.0.retain(|&then| now.saturating_duration_since(then) < MEMORY);
-        self.0.push(now);
-        (self.0.len() > REPLACEMENTS_BEFORE_REST).then_some(REST)
-    }
+/// Notes one more replacement at `now` of a worker that was `replaced` for its messages at these
+/// times. Returns how long it rests before it is started again; none: it does not rest.
+pub(crate) fn rest_before_next(replaced: &mut Vec<Instant>, now: Instant) -> Option<Duration> {
+    replaced.retain(|&then| now.saturating_duration_since(then) < MEMORY);
+    replaced.push(now);
+    (replaced.len() > REPLACEMENTS_BEFORE_REST).then_some(REST)
 }
 
 #[cfg(test)]
@@ -41,9 +35,9 @@ mod tests {
 
     #[test]
     fn who_is_bad_four_times_in_a_minute_rests_and_then_has_one_try() {
-        let mut replacements = Replacements::default();
+        let mut replaced = Vec::new();
         let start = Instant::now();
-        let mut after = |s| replacements.rest_before_next(start + Duration::from_secs(s));
+        let mut after = |s| rest_before_next(&mut replaced, start + Duration::from_secs(s));
         for s in 0..3 {
             assert_eq!(after(s), None);
         }

@@ -26,11 +26,13 @@ pub(crate) struct Dashboard {
     stages: BTreeMap<(String, u32), HealthRates>,
     neighbours: BTreeMap<String, NeighbourView>,
     truths: VecDeque<(FrameStamp, Vec<BodyTruth>)>,
-    frames_ended: u64,
-    frames_skipped: u64,
+    pub frames_ended: u64,
+    /// Frames that the source sent and that were not worked on.
+    pub frames_skipped: u64,
     last_frame: Option<FrameStamp>,
     has_truth: bool,
-    sphere: Option<SweepReport>,
+    /// How often the sphere is searched.
+    pub sphere: Option<SweepReport>,
 }
 
 #[derive(Default)]
@@ -46,31 +48,18 @@ struct NeighbourView {
     /// Frames in which it was measured and that have not ended. Only ended frames count as
     /// localisable.
     open: Vec<FrameStamp>,
-    errors_mm: NewestSamples,
-    latencies_ms: NewestSamples,
+    errors_mm: VecDeque<f64>,
+    latencies_ms: VecDeque<f64>,
 }
 
-/// The newest values of something: a long flight must not fill the memory.
-#[derive(Default)]
-struct NewestSamples(VecDeque<f64>);
-
-/// An hour of frames.
+/// The newest values that are kept: an hour of frames. A long flight must not fill the memory.
 const MAX_SAMPLES: usize = 108_000;
 
-impl NewestSamples {
-    fn add(&mut self, value: f64) {
-        if self.0.len() == MAX_SAMPLES {
-            self.0.pop_front();
-        }
-        self.0.push_back(value);
+fn add_sample(samples: &mut VecDeque<f64>, value: f64) {
+    if samples.len() == MAX_SAMPLES {
+        samples.pop_front();
     }
-
-    /// The values in rising order.
-    fn rising(&self) -> Vec<f64> {
-        let mut rising: Vec<_> = self.0.iter().copied().collect();
-        rising.sort_by(f64::total_cmp);
-        rising
-    }
+    samples.push_back(value);
 }
 
 impl Dashboard {
@@ -102,11 +91,6 @@ impl Dashboard {
         }
     }
 
-    /// Takes how often the sphere is searched.
-    pub(crate) fn sphere(&mut self, sphere: Option<SweepReport>) {
-        self.sphere = sphere;
-    }
-
     /// Takes the tracks of a frame.
     pub(crate) fn tracks(
         &mut self,
@@ -128,9 +112,9 @@ impl Dashboard {
             );
             if is_measured {
                 neighbour.measured += 1;
-                neighbour.latencies_ms.add(track.latency.total_ns as f64 * 1e-6);
+                add_sample(&mut neighbour.latencies_ms, track.latency.total_ns as f64 * 1e-6);
                 if let Some(error) = neighbour.error_m {
-                    neighbour.errors_mm.add(error * 1e3);
+                    add_sample(&mut neighbour.errors_mm, error * 1e3);
                 }
                 neighbour.open.push(*stamp);
             } else {
@@ -161,19 +145,9 @@ impl Dashboard {
         }
     }
 
-    /// How many frames the source sent that were not worked on.
-    pub(crate) fn frames_skipped(&self) -> u64 {
-        self.frames_skipped
-    }
-
     /// What each worker's process reports: its stage, its number, and its reports.
     pub(crate) fn workers(&self) -> impl Iterator<Item = (&str, u32, &HealthRates)> {
         self.stages.iter().map(|((stage, worker), rates)| (stage.as_str(), *worker, rates))
-    }
-
-    /// How many frames have ended.
-    pub(crate) fn frames_ended(&self) -> u64 {
-        self.frames_ended
     }
 }
 

@@ -19,40 +19,17 @@ pub(crate) mod programs;
 pub(crate) mod theta;
 
 use anyhow::bail;
-use clap::Args;
 use flockeye_cli::{Configuration, Screen};
 use flockeye_config::Resolved;
 use flockeye_dictionary::Dictionary;
 use flockeye_runtime::findings::{Finding, Gravity};
-use serde::Serialize;
+use serde_json::json;
 
 pub(crate) use files::Machine;
 
-/// Arguments of `doctor`.
-#[derive(Debug, Args)]
-pub(crate) struct DoctorArguments {
-    /// Which configuration.
-    #[command(flatten)]
-    pub configuration: Configuration,
-    /// Print what is found as JSON.
-    #[arg(long)]
-    pub json: bool,
-}
-
-/// What is printed as JSON.
-#[derive(Debug, Serialize)]
-struct Examination<'f> {
-    /// Whether it would fly.
-    would_fly: bool,
-    findings: &'f [Finding],
-}
-
 /// Examines this machine, and shows what it found.
-///
-/// # Errors
-/// The configuration cannot be read, or with it this machine would not fly.
-pub(crate) fn run(arguments: &DoctorArguments) -> anyhow::Result<()> {
-    let pipeline = arguments.configuration.load()?;
+pub(crate) fn run(configuration: &Configuration, json: bool) -> anyhow::Result<()> {
+    let pipeline = configuration.load()?;
     let mut findings = Vec::new();
     match Resolved::of(pipeline) {
         Err(error) => findings.push(Finding::problem(
@@ -63,10 +40,9 @@ pub(crate) fn run(arguments: &DoctorArguments) -> anyhow::Result<()> {
         Ok(resolved) => findings.extend(examined(&resolved)),
     }
     let problems = findings.iter().filter(|finding| finding.gravity == Gravity::Problem).count();
-    if arguments.json {
-        let examination = Examination { would_fly: problems == 0, findings: &findings };
-        let json = serde_json::to_string_pretty(&examination)?;
-        Screen::new().line(&json);
+    if json {
+        let examination = json!({ "would_fly": problems == 0, "findings": findings });
+        Screen::new().line(&serde_json::to_string_pretty(&examination)?);
     } else {
         show(&findings, problems);
     }

@@ -14,11 +14,12 @@ use std::process::Command;
 
 use anyhow::{Context, bail};
 use clap::Args;
+use flockeye_config::Scheduling;
 use flockeye_runtime::instance::{
     FOLDER_VARIABLE, GENERATION_VARIABLE, REPLICA_VARIABLE, STAGE_VARIABLE,
 };
 use flockeye_runtime::kept::KeptProcess;
-use flockeye_runtime::scheduling::SchedulingPolicy;
+use flockeye_runtime::scheduling;
 use flockeye_runtime::stage::CANNOT_START;
 use rustix::process::{Signal, getppid, set_parent_process_death_signal, setpriority_process};
 use rustix::thread::{CpuSet, sched_setaffinity};
@@ -39,8 +40,8 @@ pub struct ExecArguments {
     #[arg(long, default_value_t = 0, allow_negative_numbers = true)]
     pub nice: i32,
     /// Its scheduling policy: batch, idle, fifo or round-robin.
-    #[arg(long)]
-    pub scheduling: Option<SchedulingPolicy>,
+    #[arg(long, value_parser = scheduling::from_name)]
+    pub scheduling: Option<Scheduling>,
     /// Its priority within fifo and round-robin.
     #[arg(long, default_value_t = 1)]
     pub priority: u8,
@@ -125,7 +126,8 @@ fn apply_nice(arguments: &ExecArguments) -> Option<String> {
 /// Asks for the scheduling policy. Returns why it is refused.
 fn apply_policy(arguments: &ExecArguments) -> Option<String> {
     let policy = arguments.scheduling?;
-    let refused = policy.apply_to_this_thread(arguments.priority).err()?;
+    let refused = scheduling::apply_to_this_thread(policy, arguments.priority).err()?;
+    let policy = scheduling::name(policy);
     Some(format!(
         "the scheduling policy {policy} is refused ({refused}): it runs with the normal one. Cure: \
          LimitRTPRIO in the unit, or CAP_SYS_NICE"

@@ -10,7 +10,7 @@ use std::path::Path;
 pub(crate) const NOTICE: Option<&str> = Some("this build has fault points, for tests alone");
 /// The line that the launcher shows at its start if it has fault points.
 #[cfg(not(feature = "fault-points"))]
-pub const NOTICE: Option<&str> = None;
+pub(crate) const NOTICE: Option<&str> = None;
 
 /// Waits here if the file `fault` in the instance's folder names this step, until somebody removes
 /// the file `fault-reached` that takes its place.
@@ -30,4 +30,4 @@ pub(crate) fn pass(folder: &Path, step: &str) {
 
 /// Does nothing: this build has no fault points.
 #[cfg(not(feature = "fault-points"))]
-pub fn pass(_folder: &Path, _step: &str) {}
+pub(crate) fn pass(_folder: &Path, _step: &str) {}

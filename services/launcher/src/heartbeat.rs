@@ -2,7 +2,7 @@
 
 /// The state of a process as the system gives it (proc(5), `/proc/PID/stat`).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct ProcessStat {
+pub(crate) struct ProcessStat {
     /// R running, S sleeping, D waiting for a disk, T stopped, t traced, Z dead.
     pub state: char,
     /// Processor time that it has used, nanoseconds.
@@ -11,7 +11,7 @@ pub struct ProcessStat {
 
 impl ProcessStat {
     /// Reads the processor time of a process that runs.
-    pub fn of(pid: u32) -> Option<Self> {
+    pub(crate) fn of(pid: u32) -> Option<Self> {
         Self::parse(&std::fs::read_to_string(format!("/proc/{pid}/stat")).ok()?)
     }
 
@@ -29,7 +29,7 @@ impl ProcessStat {
 
 /// Watches one process.
 #[derive(Debug, Clone, Copy, Default)]
-pub struct Heartbeat {
+pub(crate) struct Heartbeat {
     /// The newest report, and the processor time used until it was noticed.
     last: Option<(i64, i64)>,
 }
@@ -41,7 +41,7 @@ impl Heartbeat {
     /// stopped, or sleeps while none of its threads works either, or it has used that much
     /// processor time meanwhile. One that is ready to run and gets no processor, or waits for a
     /// disk, is only slow.
-    pub fn hangs(
+    pub(crate) fn hangs(
         &mut self,
         sent_ns: i64,
         now_ns: i64,

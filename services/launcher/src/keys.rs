@@ -20,26 +20,26 @@ const DAY_S: f64 = 86_400.0;
 #[derive(Debug, Subcommand)]
 pub(crate) enum KeysCommand {
     /// Make the authority of a new swarm. Keep its folder where no drone is.
-    Init(InitArguments),
+    Init {
+        /// The swarm's name, as `observer.swarm` has it.
+        #[arg(long, value_name = "NAME")]
+        swarm: String,
+        #[command(flatten)]
+        authority: AuthorityChoice,
+    },
     /// Make a key and a certificate for a drone, an onlooker or a router, or renew them.
     Issue(IssueArguments),
     /// Take somebody off the roster, and revoke all its certificates.
-    Revoke(RevokeArguments),
+    Revoke {
+        /// Whom.
+        name: String,
+        #[command(flatten)]
+        authority: AuthorityChoice,
+    },
     /// Show who belongs to the swarm, and until when.
     List(AuthorityChoice),
     /// Print the configuration of a router (zenohd) for the roster of now.
     Rules(AuthorityChoice),
-}
-
-/// Arguments of `keys init`.
-#[derive(Debug, Args)]
-pub(crate) struct InitArguments {
-    /// The swarm's name, as `observer.swarm` has it.
-    #[arg(long, value_name = "NAME")]
-    pub swarm: String,
-    /// Where.
-    #[command(flatten)]
-    pub authority: AuthorityChoice,
 }
 
 /// Where the authority is.
@@ -47,61 +47,46 @@ pub(crate) struct InitArguments {
 pub(crate) struct AuthorityChoice {
     /// The authority's folder.
     #[arg(long, value_name = "FOLDER", default_value = "authority")]
-    pub authority: PathBuf,
+    authority: PathBuf,
 }
 
 /// Arguments of `keys issue`.
 #[derive(Debug, Args)]
 pub(crate) struct IssueArguments {
     /// The name, as `observer.name` has it.
-    pub name: String,
-    /// Where.
+    name: String,
     #[command(flatten)]
-    pub authority: AuthorityChoice,
+    authority: AuthorityChoice,
     /// The folder for its files. Without it: one of its name.
     #[arg(long, value_name = "FOLDER")]
-    pub into: Option<PathBuf>,
+    into: Option<PathBuf>,
     /// How long the certificate holds: 12h, 30days.
     #[arg(long = "for", value_name = "DURATION", value_parser = duration, default_value = HOLDS)]
-    pub holds: Duration,
+    holds: Duration,
     /// It is a router: it passes on what others say.
     #[arg(long)]
-    pub router: bool,
+    router: bool,
 }
 
-/// Arguments of `keys revoke`.
-#[derive(Debug, Args)]
-pub(crate) struct RevokeArguments {
-    /// Whom.
-    pub name: String,
-    /// Where.
-    #[command(flatten)]
-    pub authority: AuthorityChoice,
-}
-
-/// Does it.
-///
-/// # Errors
-/// A name cannot be one or is not known, or files are missing, wrong, or cannot be written.
 pub(crate) fn run(command: &KeysCommand) -> anyhow::Result<()> {
     match command {
-        KeysCommand::Init(arguments) => init(arguments),
+        KeysCommand::Init { swarm, authority } => init(swarm, &authority.authority),
         KeysCommand::Issue(arguments) => issue(arguments),
-        KeysCommand::Revoke(arguments) => revoke(arguments),
+        KeysCommand::Revoke { name, authority } => revoke(name, authority),
         KeysCommand::List(choice) => list(choice),
-        KeysCommand::Rules(choice) => rules(choice),
+        KeysCommand::Rules(choice) => {
+            Screen::new().line(router_text(&open(choice)?)?.trim_end());
+            Ok(())
+        }
     }
 }
 
-fn init(arguments: &InitArguments) -> anyhow::Result<()> {
-    let folder = &arguments.authority.authority;
-    Authority::create(folder, &arguments.swarm)?;
-    let mut screen = Screen::new();
-    screen.line(&format!(
-        "{} is the authority of the swarm '{}'. Whoever has ca.key can speak in every name: keep it where no drone \
+fn init(swarm: &str, folder: &Path) -> anyhow::Result<()> {
+    Authority::create(folder, swarm)?;
+    Screen::new().line(&format!(
+        "{} is the authority of the swarm '{swarm}'. Whoever has ca.key can speak in every name: keep it where no drone \
          is, and have a copy.\nNext: flockeye keys issue NAME",
-        folder.display(),
-        arguments.swarm
+        folder.display()
     ));
     Ok(())
 }
@@ -150,11 +135,10 @@ fn say_roster_changed(screen: &mut Screen, authority: &Authority) {
     ));
 }
 
-fn revoke(arguments: &RevokeArguments) -> anyhow::Result<()> {
-    let mut authority = open(&arguments.authority)?;
-    let count = authority.revoke(&arguments.name, utc_s())?;
+fn revoke(name: &str, choice: &AuthorityChoice) -> anyhow::Result<()> {
+    let mut authority = open(choice)?;
+    let count = authority.revoke(name, utc_s())?;
     let mut screen = Screen::new();
-    let name = &arguments.name;
     screen.line(&format!("{name} is off the roster, and {count} of its certificates are revoked"));
     say_roster_changed(&mut screen, &authority);
     Ok(())
@@ -179,11 +163,6 @@ fn list(choice: &AuthorityChoice) -> anyhow::Result<()> {
     let mut screen = Screen::new();
     screen.line(&format!("swarm {}, roster {}", roster.swarm, roster.number));
     screen.table(&table.text());
-    Ok(())
-}
-
-fn rules(choice: &AuthorityChoice) -> anyhow::Result<()> {
-    Screen::new().line(router_text(&open(choice)?)?.trim_end());
     Ok(())
 }
 

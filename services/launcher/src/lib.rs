@@ -27,7 +27,6 @@
 //! | `peers` | what the whole swarm reports over Zenoh |
 //! | `keys` | the authority of a swarm, its members' keys and certificates |
 //! | `clean` | removes what dead runs left behind |
-//! | `schema` | the JSON Schema of pipeline.yaml |
 //! | `bodies` | the marker bodies |
 //! | `fault_point` | where tests stop a hand-over |
 //! | [`exec`] | the first instructions of a stage's process |
@@ -52,7 +51,6 @@ mod other_programs;
 mod peers;
 pub mod process;
 mod run_log;
-mod schema;
 mod service_manager;
 mod status;
 mod supervisor;

@@ -10,55 +10,18 @@ use clap::Args;
 use flockeye_cli::running::{PipelineChoice, choose};
 use flockeye_cli::{Screen, duration, signals};
 use flockeye_runtime::instance::Instance;
-use rustix::process::{Pid, Signal, kill_process_group};
+use rustix::process::Signal;
 
 use crate::control::client::ask;
-use crate::control::{Request, SwapRequest, Worker};
-use crate::process::STOP_TIME;
-
-/// How long the system may take to end a process that was killed.
-const KILL_TIME: Duration = Duration::from_secs(5);
-
-/// Arguments of `status`.
-#[derive(Debug, Args)]
-pub(crate) struct StatusArguments {
-    /// Which pipeline.
-    #[command(flatten)]
-    pub running: PipelineChoice,
-    /// JSON.
-    #[arg(long)]
-    pub json: bool,
-}
-
-/// Arguments of `stop`.
-#[derive(Debug, Args)]
-pub(crate) struct StopArguments {
-    /// The stage, or one worker of it: detection.1. Without it: the whole pipeline.
-    #[arg(value_name = "STAGE[.REPLICA]")]
-    pub worker: Option<Worker>,
-    /// Which pipeline.
-    #[command(flatten)]
-    pub running: PipelineChoice,
-}
-
-/// Arguments of `start` and `restart`.
-#[derive(Debug, Args)]
-pub(crate) struct WorkerArguments {
-    /// The stage, or one worker of it: detection.1.
-    #[arg(value_name = "STAGE[.REPLICA]")]
-    pub worker: Worker,
-    /// Which pipeline.
-    #[command(flatten)]
-    pub running: PipelineChoice,
-}
+use crate::control::{ControlRequest, SwapRequest, WorkerName};
+use crate::process::{KILL_TIME, STOP_TIME, signal_group};
 
 /// Arguments of `swap`.
 #[derive(Debug, Args)]
 pub(crate) struct SwapArguments {
     /// The stage, or one worker of it: detection.1.
     #[arg(value_name = "STAGE[.REPLICA]")]
-    pub worker: Worker,
-    /// Which pipeline.
+    pub worker: WorkerName,
     #[command(flatten)]
     pub running: PipelineChoice,
     /// Change a setting that this stage reads. All its later processes have it too.
@@ -81,48 +44,18 @@ pub(crate) struct SwapArguments {
     pub program: Vec<String>,
 }
 
-/// Shows what runs.
-///
-/// # Errors
-/// No such pipeline runs, or it does not answer.
-pub(crate) fn status(arguments: &StatusArguments) -> anyhow::Result<()> {
-    do_it(&arguments.running, &Request::Status, arguments.json)
-}
-
 /// Ends a worker, or the whole pipeline, also one whose stages fly on without a launcher.
-///
-/// # Errors
-/// As [`status`], or the pipeline has no such worker.
-pub(crate) fn stop(arguments: &StopArguments) -> anyhow::Result<()> {
-    let instance = choose(&arguments.running)?;
-    if arguments.worker.is_none() && !instance.has_launcher() {
+pub(crate) fn stop(worker: Option<WorkerName>, running: &PipelineChoice) -> anyhow::Result<()> {
+    let instance = choose(running)?;
+    if worker.is_none() && !instance.has_launcher() {
         return end_without_launcher(&instance);
     }
-    do_it(&arguments.running, &Request::Stop { worker: arguments.worker }, false)
-}
-
-/// Starts a worker that was ended.
-///
-/// # Errors
-/// As [`stop`].
-pub(crate) fn start(arguments: &WorkerArguments) -> anyhow::Result<()> {
-    do_it(&arguments.running, &Request::Start { worker: arguments.worker }, false)
-}
-
-/// Ends a worker and starts it again.
-///
-/// # Errors
-/// As [`stop`].
-pub(crate) fn restart(arguments: &WorkerArguments) -> anyhow::Result<()> {
-    do_it(&arguments.running, &Request::Restart { worker: arguments.worker }, false)
+    ask_and_show(running, &ControlRequest::Stop { worker }, false)
 }
 
 /// Replaces a worker's process by another one in flight.
-///
-/// # Errors
-/// As [`stop`], or the reason why the old process stayed.
 pub(crate) fn swap(arguments: &SwapArguments) -> anyhow::Result<()> {
-    let request = Request::Swap(SwapRequest {
+    let request = ControlRequest::Swap(SwapRequest {
         worker: arguments.worker,
         set: arguments.set.clone(),
         program: arguments.program.iter().map(|part| absolute(part)).collect(),
@@ -130,14 +63,14 @@ pub(crate) fn swap(arguments: &SwapArguments) -> anyhow::Result<()> {
         accept_worse: arguments.accept_worse,
     });
     let Some(file) = &arguments.watch else {
-        return do_it(&arguments.running, &request, arguments.json);
+        return ask_and_show(&arguments.running, &request, arguments.json);
     };
     let stopping = signals::stop_flag()?;
     let mut screen = Screen::new();
     let mut swapped = changed(file).with_context(|| format!("{}", file.display()))?;
     while !stopping.load(Ordering::Relaxed) {
         // The failure was shown; the next change of the file may mend it.
-        if let Err(error) = do_it(&arguments.running, &request, arguments.json) {
+        if let Err(error) = ask_and_show(&arguments.running, &request, arguments.json) {
             screen.line(&format!("{error:#}"));
         }
         screen.line(&format!("waiting for {} to change", file.display()));
@@ -154,11 +87,7 @@ fn end_without_launcher(instance: &Instance) -> anyhow::Result<()> {
     let count = living().count();
     for (signal, time) in [(Signal::TERM, STOP_TIME), (Signal::KILL, KILL_TIME)] {
         for process in living() {
-            if let Some(pid) = Pid::from_raw(process.pid.cast_signed())
-                && let Err(error) = kill_process_group(pid, signal)
-            {
-                tracing::debug!("signal to {}: {error}", process.stage);
-            }
+            signal_group(process.pid, signal, &process.stage);
         }
         let start = Instant::now();
         while living().next().is_some() && start.elapsed() < time {
@@ -171,7 +100,12 @@ fn end_without_launcher(instance: &Instance) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn do_it(running: &PipelineChoice, request: &Request, json: bool) -> anyhow::Result<()> {
+/// Asks the launcher of a running pipeline, and shows its progress and its answer.
+pub(crate) fn ask_and_show(
+    running: &PipelineChoice,
+    request: &ControlRequest,
+    json: bool,
+) -> anyhow::Result<()> {
     let instance = choose(running)?;
     let mut screen = Screen::new();
     let (text, report) = ask(&instance, request, |progress| {

@@ -22,8 +22,8 @@ use prometheus_client::metrics::histogram::Histogram;
 use prometheus_client::registry::{Registry, Unit};
 
 use crate::dashboard::Dashboard;
-use endpoint::Page;
-use snapshot::{Labels, Latest, Snapshot};
+use endpoint::MetricsPage;
+use snapshot::{Labels, LatestMetrics, metrics_of};
 
 /// How often what is offered is brought up to date.
 const PERIOD: Duration = Duration::from_secs(1);
@@ -34,7 +34,6 @@ const LATENCY_BOUNDS_S: [f64; 14] = [
     0.001, 0.002, 0.004, 0.006, 0.010, 0.015, 0.020, 0.033, 0.050, 0.075, 0.100, 0.200, 0.500, 1.0,
 ];
 
-/// A histogram with these bounds.
 fn latencies() -> Histogram {
     Histogram::new(LATENCY_BOUNDS_S)
 }
@@ -42,19 +41,18 @@ fn latencies() -> Histogram {
 type Latencies = Family<Labels, Histogram, fn() -> Histogram>;
 
 /// What a run offers.
-pub(crate) struct Metrics {
+pub(crate) struct MetricsExporter {
     registry: Registry,
     latencies: Latencies,
-    latest: Latest,
-    page: Arc<Mutex<Page>>,
+    latest: LatestMetrics,
+    /// Frames that had ended when the metrics were last brought up to date.
+    frames_ended: u64,
+    page: Arc<Mutex<MetricsPage>>,
     next: Instant,
 }
 
-impl Metrics {
+impl MetricsExporter {
     /// Offers them at this address.
-    ///
-    /// # Errors
-    /// The address cannot be listened on.
     pub(crate) fn serve(listen: SocketAddr, instance: &str) -> anyhow::Result<Self> {
         let metrics = Self::new(instance);
         endpoint::start(listen, metrics.page.clone()).with_context(|| {
@@ -73,11 +71,12 @@ impl Metrics {
             Unit::Seconds,
             latencies.clone(),
         );
-        let latest = Latest::default();
+        let latest = LatestMetrics::default();
         registry.register_collector(Box::new(latest.clone()));
         let now = Instant::now();
-        let page = Page { text: String::new(), written: now, last_frame: None };
-        Self { registry, latencies, latest, page: Arc::new(Mutex::new(page)), next: now }
+        let page = MetricsPage { text: String::new(), written: now, last_frame: None };
+        let page = Arc::new(Mutex::new(page));
+        Self { registry, latencies, latest, frames_ended: 0, page, next: now }
     }
 
     /// Takes the tracks of a frame.
@@ -105,8 +104,9 @@ impl Metrics {
             return;
         }
         self.next = now + PERIOD;
-        let snapshot = Snapshot::of(dashboard, now_ns);
-        let has_gone_on = self.latest.replace(snapshot);
+        *lock(&self.latest.0) = metrics_of(dashboard, now_ns);
+        let frames_before = std::mem::replace(&mut self.frames_ended, dashboard.frames_ended);
+        let has_gone_on = self.frames_ended > frames_before;
         let mut text = String::new();
         if let Err(error) = encode(&mut text, &self.registry) {
             tracing::debug!("metrics cannot be written: {error}");
@@ -114,7 +114,7 @@ impl Metrics {
         }
         let mut page = lock(&self.page);
         let last_frame = if has_gone_on { Some(now) } else { page.last_frame };
-        *page = Page { text, written: now, last_frame };
+        *page = MetricsPage { text, written: now, last_frame };
     }
 }
 
@@ -125,7 +125,7 @@ mod tests {
 
     #[test]
     fn what_happened_is_in_the_text() {
-        let mut metrics = Metrics::new("field");
+        let mut metrics = MetricsExporter::new("field");
         let mut dashboard = Dashboard::default();
         dashboard.health(&Health {
             stage: "detection".into(),

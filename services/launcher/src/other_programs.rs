@@ -1,6 +1,6 @@
 //! The commands of `flockeye` that other programs do.
 
-use std::ffi::{OsStr, OsString};
+use std::ffi::OsString;
 use std::os::unix::process::CommandExt;
 use std::process::Command;
 
@@ -8,95 +8,60 @@ use anyhow::Context;
 use flockeye_cli::program::{self, CommandInfo};
 use flockeye_cli::{lab, replay, workshop};
 
-/// A program that does some of `flockeye`'s commands.
-#[derive(Debug, Clone, Copy)]
-struct OtherProgram {
-    name: &'static str,
-    arguments: Arguments,
+const RECORDER: &str = "flockeye-recorder";
+const VIEWER: &str = "flockeye-viewer";
+
+/// The command that begins these arguments of `flockeye`, or whose help they ask for; and what
+/// follows it.
+fn command_in(arguments: &[OsString]) -> Option<(&OsString, &[OsString])> {
+    match arguments {
+        [help, command, rest @ ..] if help == "help" => Some((command, rest)),
+        [command, rest @ ..] => Some((command, rest)),
+        [] => None,
+    }
 }
 
-/// What a program gets of the arguments of `flockeye`.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Arguments {
-    /// All of them: it does several commands, and its help shows the name `flockeye`.
-    All,
-    /// Those after the command's name: the command is all that it does.
-    AfterCommand,
-}
-
-const LAB: OtherProgram = OtherProgram { name: lab::PROGRAM, arguments: Arguments::All };
-const REPLAY: OtherProgram = OtherProgram { name: replay::PROGRAM, arguments: Arguments::All };
-const WORKSHOP: OtherProgram = OtherProgram { name: workshop::PROGRAM, arguments: Arguments::All };
-const RECORDER: OtherProgram =
-    OtherProgram { name: "flockeye-recorder", arguments: Arguments::AfterCommand };
-const VIEWER: OtherProgram =
-    OtherProgram { name: "flockeye-viewer", arguments: Arguments::AfterCommand };
-
-/// The program that does this command, if it is not `flockeye` itself.
-fn program_for(command: &OsStr) -> Option<OtherProgram> {
+/// The program that does what these arguments ask for, if it is not `flockeye` itself.
+pub(crate) fn program_for(arguments: &[OsString]) -> Option<&'static str> {
+    let (command, _) = command_in(arguments)?;
     let is_one_of = |commands: &[CommandInfo]| commands.iter().any(|known| command == known.name);
     match command.to_str()? {
         "record" => Some(RECORDER),
         "view" => Some(VIEWER),
-        _ if is_one_of(&lab::COMMANDS) => Some(LAB),
-        _ if is_one_of(&replay::COMMANDS) => Some(REPLAY),
-        _ if is_one_of(&workshop::COMMANDS) => Some(WORKSHOP),
+        _ if is_one_of(&lab::COMMANDS) => Some(lab::PROGRAM),
+        _ if is_one_of(&replay::COMMANDS) => Some(replay::PROGRAM),
+        _ if is_one_of(&workshop::COMMANDS) => Some(workshop::PROGRAM),
         _ => None,
     }
 }
 
-/// Another program of ours that is to do what `flockeye` was asked for.
-#[derive(Debug, PartialEq, Eq)]
-pub(crate) struct PassedOn {
-    command: String,
-    program: &'static str,
-    /// The name that its help shows.
-    shown_name: String,
-    arguments: Vec<OsString>,
-}
-
-impl PassedOn {
-    /// The program for these arguments of `flockeye`, if another one does that command or has its
-    /// help.
-    pub(crate) fn of(arguments: &[OsString]) -> Option<Self> {
-        let (command, rest, is_help) = match arguments {
-            [help, command, rest @ ..] if help == "help" => (command, rest, true),
-            [command, rest @ ..] => (command, rest, false),
-            [] => return None,
-        };
-        let program = program_for(command)?;
-        let after_command = || match is_help {
-            true => vec!["--help".into()],
-            false => rest.to_vec(),
-        };
-        let name = command.to_string_lossy().into_owned();
-        let (shown_name, arguments) = match program.arguments {
-            Arguments::All => ("flockeye".to_owned(), arguments.to_vec()),
-            Arguments::AfterCommand => (format!("flockeye {name}"), after_command()),
-        };
-        Some(Self { command: name, program: program.name, shown_name, arguments })
-    }
-
-    /// Replaces this process by the program.
-    ///
-    /// # Errors
-    /// It is not installed, or cannot be started.
-    pub(crate) fn become_program(&self) -> anyhow::Result<()> {
-        let Self { command, program, shown_name, arguments } = self;
-        become_program(program, shown_name, arguments)
-            .with_context(|| format!("`flockeye {command}` is a command of {program}"))
-    }
-}
-
-/// Replaces this process by another program of ours, whose help shows `shown_name`. Signals and the
-/// exit status are then its own.
+/// The name that the help of `program` shows, and what the program gets of the arguments of
+/// `flockeye`.
 ///
-/// # Errors
-/// It is not installed, or cannot be started.
-fn become_program(name: &str, shown_name: &str, arguments: &[OsString]) -> anyhow::Result<()> {
-    let path = program::find(name)?;
-    let error = Command::new(&path).arg0(shown_name).args(arguments).exec();
-    Err(error).with_context(|| format!("cannot start {}", path.display()))
+/// A program of several commands gets all of them. One of a single command gets what follows it.
+fn name_and_arguments(program: &str, arguments: &[OsString]) -> (String, Vec<OsString>) {
+    match command_in(arguments) {
+        Some((command, rest)) if [RECORDER, VIEWER].contains(&program) => {
+            let asks_for_help = arguments.len() > rest.len() + 1;
+            let rest = if asks_for_help { vec!["--help".into()] } else { rest.to_vec() };
+            (format!("flockeye {}", command.to_string_lossy()), rest)
+        }
+        _ => ("flockeye".to_owned(), arguments.to_vec()),
+    }
+}
+
+/// Replaces this process by another program of ours, for these arguments of `flockeye`. Signals and
+/// the exit status are then its own.
+pub(crate) fn become_program(program: &str, arguments: &[OsString]) -> anyhow::Result<()> {
+    let (shown_name, passed_on) = name_and_arguments(program, arguments);
+    let command = command_in(arguments).map(|(command, _)| command.to_string_lossy());
+    let context = || {
+        let command = command.as_deref().unwrap_or_default();
+        format!("`flockeye {command}` is a command of {program}")
+    };
+    let path = program::find(program).with_context(context)?;
+    let error = Command::new(&path).arg0(shown_name).args(passed_on).exec();
+    Err(error).with_context(|| format!("cannot start {}", path.display())).with_context(context)
 }
 
 /// The lab's commands with their descriptions, for the help of `flockeye`.
@@ -112,8 +77,9 @@ mod tests {
 
     fn passed_on(arguments: &[&str]) -> Option<(&'static str, String, Vec<OsString>)> {
         let arguments: Vec<_> = arguments.iter().map(OsString::from).collect();
-        let passed_on = PassedOn::of(&arguments)?;
-        Some((passed_on.program, passed_on.shown_name, passed_on.arguments))
+        let program = program_for(&arguments)?;
+        let (shown_name, passed_on) = name_and_arguments(program, &arguments);
+        Some((program, shown_name, passed_on))
     }
 
     fn program(

@@ -15,9 +15,9 @@ use flockeye_cli::{Configuration, Screen, duration, signals};
 use flockeye_network::{
     Listener, Network, NetworkParameters, Peers, ReportStream, TimedSighting, monotonic_now_ns,
 };
-use flockeye_peer::{PeerReport, Place, SwarmView};
+use flockeye_peer::{DronePlace, PeerReport, SwarmView};
 use nalgebra::Vector3;
-use serde::Serialize;
+use serde_json::{Value, json};
 
 use self::swarm_map::map;
 
@@ -51,22 +51,19 @@ const SWARM_PERIOD: Duration = Duration::from_millis(100);
 const WAITING_REPORTS: usize = 1_024;
 
 /// Shows the reports until Ctrl-C.
-///
-/// # Errors
-/// The configuration is wrong, no such pipeline runs, or the network cannot be opened.
 pub(crate) fn run(arguments: &PeersArguments) -> anyhow::Result<()> {
     let stopping = signals::stop_flag()?;
     let parameters = parameters(arguments)?;
     let from = arguments.from.as_deref().unwrap_or(&parameters.observer);
     let listener = Network::open(&parameters)?.listener()?;
-    let mut swarm = Swarm::new(&listener, from);
+    let (reports, mut view) = (listener.stream(WAITING_REPORTS), SwarmView::from(from));
     let end = arguments.duration.map(|duration| Instant::now() + duration);
     let is_over =
         || stopping.load(Ordering::Relaxed) || end.is_some_and(|end| Instant::now() >= end);
     if arguments.json {
-        print_json(&mut swarm, is_over)
+        print_json(&reports, &mut view, is_over)
     } else {
-        show_table(&listener, &mut swarm, is_over)
+        show_table(&listener, &reports, &mut view, is_over)
     }
 }
 
@@ -87,88 +84,58 @@ fn parameters(arguments: &PeersArguments) -> anyhow::Result<NetworkParameters> {
     Ok(parameters)
 }
 
-/// Reports as they come, and where all drones are by them.
-struct Swarm {
-    reports: ReportStream,
-    view: SwarmView,
+/// Takes the next report into `view`, if one comes soon.
+fn hear(reports: &ReportStream, view: &mut SwarmView, patience: Duration) -> Option<TimedSighting> {
+    let heard = reports.recv_timeout(patience)?;
+    view.hear(&PeerReport::from(&heard));
+    Some(heard)
 }
 
-impl Swarm {
-    fn new(listener: &Listener, from: &str) -> Self {
-        Self { reports: listener.stream(WAITING_REPORTS), view: SwarmView::from(from) }
+/// Where a drone is in the frame of `from`, for a line of JSON: metres, and a quaternion x y z w.
+/// The deviations are those of position (m) and rotation vector (rad).
+fn place_line(place: &DronePlace, at_ns: i64) -> Value {
+    let pose = &place.own_from_drone;
+    let deviations: [f64; 6] = std::array::from_fn(|k| pose.covariance[(k, k)].max(0.0).sqrt());
+    let mut line = json!({ "name": place.name, "way": place.way.name() });
+    if let Some(through) = &place.through {
+        line["through"] = json!(through);
     }
-
-    /// Takes in the next report, if one comes soon.
-    fn hear(&mut self, patience: Duration) -> Option<TimedSighting> {
-        let heard = self.reports.recv_timeout(patience)?;
-        self.view.hear(&PeerReport::from(&heard));
-        Some(heard)
-    }
+    line["age_ms"] = json!(age_ms(place, at_ns));
+    line["position"] = json!(pose.a_from_b.translation.vector.as_slice());
+    line["orientation"] = json!(pose.a_from_b.rotation.coords.as_slice());
+    line["deviations"] = json!(deviations);
+    line
 }
 
-/// Where all are, as a line of JSON.
-#[derive(Debug, Serialize)]
-struct SwarmLine<'s> {
-    at_monotonic_ns: i64,
-    from: &'s str,
-    left_out: Vec<String>,
-    swarm: Vec<PlaceLine>,
-}
-
-#[derive(Debug, Serialize)]
-struct PlaceLine {
-    name: String,
-    way: &'static str,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    through: Option<String>,
-    age_ms: f64,
-    /// Metres, in the frame of `from`.
-    position: [f64; 3],
-    /// Quaternion x y z w, `from` from the drone.
-    orientation: [f64; 4],
-    /// Deviations of position (m) and rotation vector (rad).
-    deviations: [f64; 6],
-}
-
-impl PlaceLine {
-    fn new(place: &Place, at_ns: i64) -> Self {
-        let pose = &place.own_from_drone;
-        Self {
-            name: place.name.clone(),
-            way: place.way.name(),
-            through: place.through.clone(),
-            age_ms: age_ms(place, at_ns),
-            position: pose.a_from_b.translation.vector.into(),
-            orientation: pose.a_from_b.rotation.coords.into(),
-            deviations: std::array::from_fn(|k| pose.covariance[(k, k)].max(0.0).sqrt()),
-        }
-    }
-}
-
-fn age_ms(place: &Place, at_ns: i64) -> f64 {
+fn age_ms(place: &DronePlace, at_ns: i64) -> f64 {
     at_ns as f64 * 1e-6 - place.seen_s * 1e3
 }
 
 /// Prints one JSON object per line: each report, and where all are. A closed pipe ends it.
-fn print_json(swarm: &mut Swarm, is_over: impl Fn() -> bool) -> anyhow::Result<()> {
+fn print_json(
+    reports: &ReportStream,
+    view: &mut SwarmView,
+    is_over: impl Fn() -> bool,
+) -> anyhow::Result<()> {
     let mut out = std::io::stdout().lock();
     let mut next = Instant::now();
     while !is_over() {
         let mut lines = Vec::new();
-        if let Some(heard) = swarm.hear(SWARM_PERIOD) {
+        if let Some(heard) = hear(reports, view, SWARM_PERIOD) {
             lines.push(serde_json::to_string(&heard)?);
         }
         if Instant::now() >= next {
             next = Instant::now() + SWARM_PERIOD;
             let at_monotonic_ns = monotonic_now_ns();
-            let places = swarm.view.places(at_monotonic_ns);
-            let line = SwarmLine {
-                at_monotonic_ns,
-                from: swarm.view.own(),
-                left_out: swarm.view.left_out(),
-                swarm: places.iter().map(|place| PlaceLine::new(place, at_monotonic_ns)).collect(),
-            };
-            lines.push(serde_json::to_string(&line)?);
+            let places = view.places(at_monotonic_ns);
+            let swarm = places.iter().map(|place| place_line(place, at_monotonic_ns));
+            let line = json!({
+                "at_monotonic_ns": at_monotonic_ns,
+                "from": view.own(),
+                "left_out": view.left_out(),
+                "swarm": swarm.collect::<Vec<_>>(),
+            });
+            lines.push(line.to_string());
         }
         for line in lines {
             if writeln!(out, "{line}").and_then(|()| out.flush()).is_err() {
@@ -181,7 +148,8 @@ fn print_json(swarm: &mut Swarm, is_over: impl Fn() -> bool) -> anyhow::Result<(
 
 fn show_table(
     listener: &Listener,
-    swarm: &mut Swarm,
+    reports: &ReportStream,
+    view: &mut SwarmView,
     is_over: impl Fn() -> bool,
 ) -> anyhow::Result<()> {
     let mut screen = Screen::new();
@@ -189,17 +157,17 @@ fn show_table(
     while !is_over() {
         let shown = Instant::now();
         while shown.elapsed() < pause {
-            swarm.hear(pause.saturating_sub(shown.elapsed()));
+            hear(reports, view, pause.saturating_sub(shown.elapsed()));
         }
         let mut text = table(&listener.snapshot(), Instant::now());
         let at_ns = monotonic_now_ns();
-        let places = swarm.view.places(at_ns);
+        let places = view.places(at_ns);
         if !places.is_empty() {
             text += &format!("\n\n{}", swarm_table(&places, at_ns));
-            for observer in swarm.view.left_out() {
+            for observer in view.left_out() {
                 text += &format!("\n{observer} contradicts the others and is left out");
             }
-            text += &format!("\n\n{}", map(swarm.view.own(), &places));
+            text += &format!("\n\n{}", map(view.own(), &places));
         }
         if screen.is_live() {
             screen.table(&text);
@@ -211,7 +179,7 @@ fn show_table(
 }
 
 /// Where each drone is, and how that is known.
-fn swarm_table(places: &[Place], at_ns: i64) -> String {
+fn swarm_table(places: &[DronePlace], at_ns: i64) -> String {
     let titles = ["drone", "known", "position m (x y z)", "dist m", "\u{b1} mm", "age ms"];
     let mut table = TextTable::new(2, &titles).at_least(&[16, 24, 24, 8, 6, 8]);
     for place in places {

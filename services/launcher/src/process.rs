@@ -12,7 +12,7 @@
 mod child;
 mod command;
 mod keeping;
-pub mod memo;
+pub(crate) mod memo;
 mod output;
 
 use std::path::Path;
@@ -28,14 +28,16 @@ use rustix::process::{Pid, Signal, kill_process_group};
 use self::child::{End, RunningProcess};
 use self::command::{StartPlan, backoff};
 use self::output::KeptOutput;
-pub use self::output::{LineSink, LogLine};
+pub(crate) use self::output::LineSink;
+pub use self::output::LogLine;
 
-use crate::complaints::Replacements;
-use crate::control::Worker;
+use crate::control::WorkerName;
 use crate::heartbeat::Heartbeat;
 
 /// How long a process gets to end by itself after SIGTERM.
 pub const STOP_TIME: Duration = Duration::from_millis(1400);
+/// The system ends a killed process within this time.
+pub(crate) const KILL_TIME: Duration = Duration::from_secs(5);
 
 /// What happened to a process since the last check.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -59,15 +61,13 @@ pub enum ProcessChange {
 
 /// What a process is doing, as far as the launcher decides it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Condition {
-    /// The process is not started yet.
+pub(crate) enum Condition {
     New,
-    /// The process runs.
     Running,
     /// The process is started again at this time.
     Waiting(Instant),
-    /// The process is started again at this time, after a long rest: its messages were bad again and
-    /// again.
+    /// The process is started again at this time, after a long rest: its messages were bad again
+    /// and again.
     Resting(Instant),
     /// The process was ended on demand.
     Stopped,
@@ -88,17 +88,17 @@ enum EndRequest {
 /// A stage's process: its command, its restart policy and its child while it runs.
 pub struct Process {
     /// Which worker of which stage.
-    pub worker: Worker,
+    pub worker: WorkerName,
     /// How often it was replaced.
     pub generation: u32,
-    /// Whether its messages were bad before.
-    pub replacements: Replacements,
+    /// When it was replaced because of what it sent.
+    pub(crate) replaced: Vec<Instant>,
     /// Judges by the system whether it hangs while it sends no health.
-    pub heartbeat: Heartbeat,
+    pub(crate) heartbeat: Heartbeat,
     /// Whether its start was found to take too long.
-    pub is_late: bool,
+    pub(crate) is_late: bool,
     /// Whether the process was found to answer nothing.
-    pub is_silent: bool,
+    pub(crate) is_silent: bool,
     /// The highest generation that any process of this worker has had.
     used_generations: u32,
     /// Where its lines go, and its name there.
@@ -123,7 +123,7 @@ impl Process {
     /// # Errors
     /// Its program is not there.
     pub fn new(
-        worker: Worker,
+        worker: WorkerName,
         configuration: &StageProcess,
         folder: &Path,
         log: SyncSender<LogLine>,
@@ -140,7 +140,7 @@ impl Process {
 
     /// A process that has not run and is never started again by itself.
     fn unstarted(
-        worker: Worker,
+        worker: WorkerName,
         generation: u32,
         start: StartPlan,
         lines: LineSink,
@@ -149,7 +149,7 @@ impl Process {
         Self {
             worker,
             generation,
-            replacements: Replacements::default(),
+            replaced: Vec::new(),
             heartbeat: Heartbeat::default(),
             is_late: false,
             is_silent: false,
@@ -170,7 +170,7 @@ impl Process {
 
     /// The process that may take the place of this one: of the next generation, with `command`
     /// (empty: the same), and not yet started. It is never restarted by itself.
-    pub fn successor(&mut self, command: &[String]) -> Self {
+    pub(crate) fn successor(&mut self, command: &[String]) -> Self {
         let generation = self.take_generation();
         self.remember();
         self.beside(generation, command, "new")
@@ -187,7 +187,7 @@ impl Process {
     }
 
     /// Takes the place of `old`, which is returned and is never started again.
-    pub fn takes_the_place_of(mut self, old: &mut Self) -> Self {
+    pub(crate) fn takes_the_place_of(mut self, old: &mut Self) -> Self {
         self.restart = old.restart;
         self.lines.rename(self.worker.to_string());
         self.used_generations = self.used_generations.max(old.used_generations);
@@ -202,17 +202,16 @@ impl Process {
     }
 
     /// Its name in the table and the log.
-    pub fn label(&self) -> String {
+    pub(crate) fn label(&self) -> String {
         self.lines.label()
     }
 
-    /// Its program and arguments.
-    pub fn command(&self) -> &[String] {
+    pub(crate) fn command(&self) -> &[String] {
         &self.start.program
     }
 
     /// Replaces its program and arguments from the next start on, and returns those of before.
-    pub fn set_command(&mut self, command: Vec<String>) -> Vec<String> {
+    pub(crate) fn set_command(&mut self, command: Vec<String>) -> Vec<String> {
         std::mem::replace(&mut self.start.program, command)
     }
 
@@ -221,18 +220,17 @@ impl Process {
         self.child.as_ref().map(RunningProcess::pid)
     }
 
-    /// What it is doing.
-    pub fn condition(&self) -> Condition {
+    pub(crate) fn condition(&self) -> Condition {
         self.condition
     }
 
     /// How long ago it was started or taken over.
-    pub fn age(&self) -> Duration {
+    pub(crate) fn age(&self) -> Duration {
         self.started.elapsed()
     }
 
     /// The generation that the next process of this worker has.
-    pub fn next_generation(&self) -> u32 {
+    pub(crate) fn next_generation(&self) -> u32 {
         self.used_generations + 1
     }
 
@@ -260,8 +258,7 @@ impl Process {
         } else {
             let child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn();
             let mut child = child.with_context(context)?;
-            child.stdout.take().into_iter().for_each(|output| self.lines.forward(output));
-            child.stderr.take().into_iter().for_each(|output| self.lines.forward(output));
+            self.lines.forward_outputs(&mut child);
             (None, child)
         };
         self.child = Some(RunningProcess::Own(child));
@@ -276,19 +273,19 @@ impl Process {
     ///
     /// # Errors
     /// As [`Process::start`].
-    pub fn start_again(&mut self) -> anyhow::Result<()> {
+    pub(crate) fn start_again(&mut self) -> anyhow::Result<()> {
         self.generation = self.take_generation();
         self.start()
     }
 
     /// Asks it to end, and kills it if it does not in [`STOP_TIME`].
-    pub fn ask_to_stop(&mut self) {
+    pub(crate) fn ask_to_stop(&mut self) {
         self.ask(EndRequest::Stop);
         self.remember();
     }
 
     /// Asks it to end, and starts it again at once when it has.
-    pub fn ask_to_restart(&mut self) {
+    pub(crate) fn ask_to_restart(&mut self) {
         self.ask(EndRequest::Restart);
     }
 
@@ -305,7 +302,7 @@ impl Process {
     }
 
     /// Kills it, and starts it again after `rest`.
-    pub fn rest(&mut self, rest: Duration) {
+    pub(crate) fn rest(&mut self, rest: Duration) {
         self.ask(EndRequest::Rest(rest));
         self.signal(Signal::KILL);
     }
@@ -379,17 +376,13 @@ impl Process {
 
     /// Sends a signal to it and to every process that it has started.
     pub fn signal(&self, signal: Signal) {
-        let pid = self.pid().and_then(|pid| Pid::from_raw(pid.cast_signed()));
-        if let Some(pid) = pid
-            && let Err(error) = kill_process_group(pid, signal)
-        {
-            // It may have ended in between.
-            tracing::debug!("signal to {}: {error}", self.label());
+        if let Some(pid) = self.pid() {
+            signal_group(pid, signal, &self.label());
         }
     }
 
     /// Whether it has ended. It is not started again from now on.
-    pub fn has_ended(&mut self) -> bool {
+    pub(crate) fn has_ended(&mut self) -> bool {
         if matches!(self.condition, Condition::Waiting(_) | Condition::Resting(_)) {
             self.condition = Condition::Stopped;
         }
@@ -401,6 +394,17 @@ impl Process {
             self.forget_kept();
         }
         has_ended
+    }
+}
+
+/// Sends a signal to the process of this number, which is shown as `label`, and to every process
+/// that it has started.
+pub(crate) fn signal_group(pid: u32, signal: Signal, label: &str) {
+    if let Some(pid) = Pid::from_raw(pid.cast_signed())
+        && let Err(error) = kill_process_group(pid, signal)
+    {
+        // It may have ended in between.
+        tracing::debug!("signal to {label}: {error}");
     }
 }
 

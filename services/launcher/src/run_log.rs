@@ -7,18 +7,18 @@ use clap::Args;
 use flockeye_cli::duration;
 use flockeye_config::Resolved;
 use flockeye_contract::{
-    Detections, FrameStamp, Healths, ImuSample, Imus, Rotations, StageState, Tracks, Truths,
+    Detections, FrameStamp, Healths, ImuSample, Imus, Rotations, StageState, Topic, Tracks, Truths,
 };
 use flockeye_runtime::clock;
 use flockeye_runtime::ports::{Ports, Subscriber};
 use flockeye_tables::sweep::SweepReport;
 use flockeye_tables::{
-    FrameTimes, ImuRow, MarkerRays, PoseRow, RotationRow, TableWriter, TruthRow,
+    FrameTimes, ImuRow, MarkerRays, PoseRow, RotationRow, TableWriter, TruthRow, WrittenRow,
 };
 
-use crate::control::Worker;
+use crate::control::WorkerName;
 use crate::dashboard::Dashboard;
-use crate::metrics::Metrics;
+use crate::metrics::MetricsExporter;
 use crate::sweep_watch::SweepWatch;
 
 /// What ends a run, and what is recorded of it.
@@ -64,10 +64,8 @@ fn stream_zero_ns(stamp: &FrameStamp) -> i64 {
 /// Samples that are kept while no frame has come.
 const MOST_EARLY_SAMPLES: usize = 20_000;
 
-/// The summary of a run.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct RunSummary {
-    /// Frames that ended.
     pub frames: u64,
     /// Poses that were measured, in all frames.
     pub measured: u64,
@@ -77,14 +75,16 @@ pub(crate) struct RunSummary {
     pub sweep: Option<SweepReport>,
 }
 
-/// Receives the messages of a run.
 pub(crate) struct RunLog {
     tracks: Subscriber<Tracks>,
     healths: Subscriber<Healths>,
     truths: Subscriber<Truths>,
-    detections: Option<Subscriber<Detections>>,
-    rotations: Option<Subscriber<Rotations>>,
-    imus: Option<Subscriber<Imus>>,
+    rotations: Option<(Subscriber<Rotations>, TableWriter<RotationRow>)>,
+    imus: Option<(Subscriber<Imus>, TableWriter<ImuRow>)>,
+    rays: Option<(Subscriber<Detections>, TableWriter<MarkerRays>)>,
+    poses: Option<TableWriter<PoseRow>>,
+    truth: Option<TableWriter<TruthRow>>,
+    frame_times: Option<TableWriter<FrameTimes>>,
     /// Samples that came before the first frame: then it is not known when the stream began.
     early_samples: Vec<ImuSample>,
     /// The frames' clock at the beginning of the stream, nanoseconds.
@@ -92,45 +92,38 @@ pub(crate) struct RunLog {
     /// The frame of the rotation before.
     last_rotation: Option<FrameStamp>,
     sweep: Option<SweepWatch>,
-    recorders: Recorders,
-    /// What is shown of the run.
     pub dashboard: Dashboard,
     /// What is offered to Prometheus.
-    metrics: Option<Metrics>,
+    metrics: Option<MetricsExporter>,
     /// A process beside the one that counts: its health is kept apart.
-    beside: Option<(Worker, u32)>,
+    pub beside: Option<(WorkerName, u32)>,
     /// The newest frame of which a track came.
-    newest: Option<FrameStamp>,
+    pub newest: Option<FrameStamp>,
     /// How many frames were asked for. Times of further frames are not recorded.
     most_frames: u64,
     measured: u64,
     first_end_ns: Option<i64>,
     last_end_ns: i64,
-    last_track: Instant,
+    /// When the last track came, or when the source was started if that was later.
+    pub last_track: Instant,
 }
 
-/// The files that are written.
-struct Recorders {
-    poses: Option<TableWriter<PoseRow>>,
-    truth: Option<TableWriter<TruthRow>>,
-    rotations: Option<TableWriter<RotationRow>>,
-    imu: Option<TableWriter<ImuRow>>,
-    frame_times: Option<TableWriter<FrameTimes>>,
-    rays: Option<TableWriter<MarkerRays>>,
+/// A topic and the file that it is recorded to, if there is to be one.
+fn recorded<T: Topic, R: WrittenRow>(
+    file: Option<&PathBuf>,
+    ports: &mut Ports,
+) -> anyhow::Result<Option<(Subscriber<T>, TableWriter<R>)>> {
+    file.map(|file| Ok((ports.subscriber()?, TableWriter::create(file)?))).transpose()
 }
 
 impl RunLog {
     /// Subscribes to the topics and creates the files.
-    ///
-    /// # Errors
-    /// A topic has no room for another reader, or a file cannot be written.
     pub(crate) fn open(
         resolved: &Resolved,
         options: &RunOptions,
         ports: &mut Ports,
     ) -> anyhow::Result<Self> {
         let sweep = options.watches_sweep.then(|| SweepWatch::open(resolved, ports)).transpose()?;
-        let (rays, turns) = (options.rays.is_some(), options.rotations.is_some());
         let has_sensor = resolved.pipeline.has_inertial_sensor();
         anyhow::ensure!(
             has_sensor || options.imu.is_none(),
@@ -140,24 +133,21 @@ impl RunLog {
             tracks: ports.subscriber()?,
             healths: ports.subscriber()?,
             truths: ports.subscriber()?,
-            detections: rays.then(|| ports.subscriber()).transpose()?,
-            rotations: turns.then(|| ports.subscriber()).transpose()?,
-            imus: options.imu.as_ref().map(|_| ports.subscriber()).transpose()?,
+            poses: options.poses.as_deref().map(TableWriter::create).transpose()?,
+            truth: options.truth.as_deref().map(TableWriter::create).transpose()?,
+            rotations: recorded(options.rotations.as_ref(), ports)?,
+            imus: recorded(options.imu.as_ref(), ports)?,
+            frame_times: options.frame_times.as_deref().map(TableWriter::create).transpose()?,
+            rays: recorded(options.rays.as_ref(), ports)?,
             early_samples: Vec::new(),
             zero_ns: None,
             last_rotation: None,
             sweep: sweep.flatten(),
-            recorders: Recorders {
-                poses: options.poses.as_deref().map(TableWriter::create).transpose()?,
-                truth: options.truth.as_deref().map(TableWriter::create).transpose()?,
-                rotations: options.rotations.as_deref().map(TableWriter::create).transpose()?,
-                imu: options.imu.as_deref().map(TableWriter::create).transpose()?,
-                frame_times: options.frame_times.as_deref().map(TableWriter::create).transpose()?,
-                rays: options.rays.as_deref().map(TableWriter::create).transpose()?,
-            },
             dashboard: Dashboard::default(),
             metrics: match resolved.pipeline.metrics.listen {
-                Some(listen) => Some(Metrics::serve(listen, &resolved.pipeline.instance.0)?),
+                Some(listen) => {
+                    Some(MetricsExporter::serve(listen, &resolved.pipeline.instance.0)?)
+                }
                 None => None,
             },
             beside: None,
@@ -171,9 +161,6 @@ impl RunLog {
     }
 
     /// Takes the messages that have come.
-    ///
-    /// # Errors
-    /// A topic cannot be read, or a file cannot be written.
     pub(crate) fn receive(&mut self) -> anyhow::Result<()> {
         while let Some(message) = self.healths.receive()? {
             let health = &message.header;
@@ -187,23 +174,20 @@ impl RunLog {
         }
         while let Some(message) = self.truths.receive()? {
             self.dashboard.truth(&message.header, message.items());
-            if let Some(recorder) = &mut self.recorders.truth {
+            if let Some(recorder) = &mut self.truth {
                 for body in message.items() {
                     recorder.add(&TruthRow::of(&message.header, body))?;
                 }
             }
         }
-        if let (Some(detections), Some(recorder)) = (&mut self.detections, &mut self.recorders.rays)
-        {
+        if let Some((detections, recorder)) = &mut self.rays {
             while let Some(message) = detections.receive()? {
                 for marker in message.items() {
                     recorder.add(&MarkerRays::new(&message.header, marker))?;
                 }
             }
         }
-        if let (Some(rotations), Some(recorder)) =
-            (&mut self.rotations, &mut self.recorders.rotations)
-        {
+        if let Some((rotations, recorder)) = &mut self.rotations {
             while let Some(message) = rotations.receive()? {
                 let before = self.last_rotation.replace(message.header.stamp);
                 let stamp = &message.header.stamp;
@@ -228,7 +212,7 @@ impl RunLog {
             }
             for row in message.items().iter().filter_map(|track| PoseRow::of(&stamp, track)) {
                 self.measured += u64::from(row.is_measured());
-                if let Some(recorder) = &mut self.recorders.poses {
+                if let Some(recorder) = &mut self.poses {
                     recorder.add(&row)?;
                 }
             }
@@ -244,9 +228,7 @@ impl RunLog {
 
     /// Records the samples that have come, once a frame has shown when the stream began.
     fn record_samples(&mut self) -> anyhow::Result<()> {
-        let (Some(imus), Some(recorder)) = (&mut self.imus, &mut self.recorders.imu) else {
-            return Ok(());
-        };
+        let Some((imus, recorder)) = &mut self.imus else { return Ok(()) };
         while let Some(message) = imus.receive()? {
             self.early_samples.extend_from_slice(message.items());
             // If no frame comes for hours, the newest samples are kept.
@@ -261,65 +243,47 @@ impl RunLog {
         Ok(())
     }
 
-    /// Notes that a frame has ended.
     fn end(&mut self, stamp: &FrameStamp, now_ns: i64) -> anyhow::Result<()> {
         self.first_end_ns.get_or_insert(now_ns);
         self.last_end_ns = now_ns;
-        match &mut self.recorders.frame_times {
-            Some(recorder) if self.dashboard.frames_ended() <= self.most_frames => {
+        match &mut self.frame_times {
+            Some(recorder) if self.dashboard.frames_ended <= self.most_frames => {
                 recorder.add(&FrameTimes::new(stamp, now_ns))
             }
             _ => Ok(()),
         }
     }
 
-    /// Keeps the health of one generation of a worker apart from now on.
-    pub(crate) fn keep_apart(&mut self, beside: Option<(Worker, u32)>) {
-        self.beside = beside;
-    }
-
-    /// The newest frame of which a track came.
-    pub(crate) fn newest(&self) -> Option<FrameStamp> {
-        self.newest
-    }
-
     /// Whether as many frames have ended as were asked for.
     pub(crate) fn is_complete(&self) -> bool {
-        self.dashboard.frames_ended() >= self.most_frames
+        self.dashboard.frames_ended >= self.most_frames
     }
 
-    /// Time since the last track, or since [`RunLog::expect_tracks`] if that was later.
-    pub(crate) fn quiet_time(&self) -> Duration {
-        self.last_track.elapsed()
+    /// Whether a worker has reported that it is ready.
+    pub(crate) fn is_ready(&self, worker: WorkerName) -> bool {
+        let state = self.dashboard.state_of(worker.stage.name(), worker.replica);
+        matches!(state, Some(StageState::Ready | StageState::Degraded))
     }
 
-    /// Restarts the quiet time, because the source starts now.
-    pub(crate) fn expect_tracks(&mut self) {
-        self.last_track = Instant::now();
-    }
-
-    /// The state that a stage reported last, if it ever did.
-    pub(crate) fn state_of(&self, stage: &str, replica: u32) -> Option<StageState> {
-        self.dashboard.state_of(stage, replica)
+    /// Whether this process of a worker has reported anything.
+    pub(crate) fn has_reported(&self, worker: WorkerName, pid: Option<u32>) -> bool {
+        let (stage, replica) = (worker.stage.name(), worker.replica);
+        pid.is_some_and(|pid| self.dashboard.last_report(stage, replica, pid).is_some())
     }
 
     /// Takes the last messages and completes the files.
-    ///
-    /// # Errors
-    /// As [`RunLog::receive`].
     pub(crate) fn finish(&mut self) -> anyhow::Result<RunSummary> {
         self.receive()?;
         self.record_samples()?;
-        let Recorders { poses, truth, rotations, imu, frame_times, rays } = &mut self.recorders;
-        poses.take().map(TableWriter::finish).transpose()?;
-        truth.take().map(TableWriter::finish).transpose()?;
-        rotations.take().map(TableWriter::finish).transpose()?;
-        imu.take().map(TableWriter::finish).transpose()?;
-        frame_times.take().map(TableWriter::finish).transpose()?;
-        rays.take().map(TableWriter::finish).transpose()?;
+        self.poses.take().map(TableWriter::finish).transpose()?;
+        self.truth.take().map(TableWriter::finish).transpose()?;
+        self.rotations.take().map(|(_, writer)| writer.finish()).transpose()?;
+        self.imus.take().map(|(_, writer)| writer.finish()).transpose()?;
+        self.frame_times.take().map(TableWriter::finish).transpose()?;
+        self.rays.take().map(|(_, writer)| writer.finish()).transpose()?;
         let first_end_ns = self.first_end_ns.unwrap_or(self.last_end_ns);
         Ok(RunSummary {
-            frames: self.dashboard.frames_ended(),
+            frames: self.dashboard.frames_ended,
             measured: self.measured,
             ends_s: (self.last_end_ns - first_end_ns) as f64 * 1e-9,
             sweep: self.sweep.as_ref().and_then(SweepWatch::report),

@@ -12,16 +12,6 @@ use libsystemd::daemon::{NotifyState, notify, watchdog_enabled};
 /// How often the status is sent, at most.
 const STATUS_PERIOD: Duration = Duration::from_secs(1);
 
-/// How far a run is.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) struct Progress {
-    /// Frames that have passed through all stages.
-    pub frames_ended: u64,
-    /// A stage was ended on demand, so frames may stay away.
-    pub is_held_up: bool,
-}
-
-/// Reports to systemd how a run gets on.
 #[derive(Debug)]
 pub(crate) struct ServiceManager {
     is_ready: bool,
@@ -52,41 +42,43 @@ impl ServiceManager {
         }
     }
 
-    /// Sends what is due. `status` gives a line once a second.
+    /// Sends what is due after so many frames that have passed through all stages. `is_held_up`: a
+    /// stage was ended on demand, so frames may stay away. `status` gives a line once a second.
     pub(crate) fn report(
         &mut self,
-        progress: Progress,
+        frames_ended: u64,
+        is_held_up: bool,
         now: Instant,
         status: impl FnOnce() -> String,
     ) {
-        let states = self.due(progress, now, status);
+        let states = self.due(frames_ended, is_held_up, now, status);
         self.send(&states);
     }
 
-    /// Sends that the run ends.
     pub(crate) fn stopping(&mut self) {
         self.send(&[NotifyState::Stopping]);
     }
 
     fn due(
         &mut self,
-        progress: Progress,
+        frames_ended: u64,
+        is_held_up: bool,
         now: Instant,
         status: impl FnOnce() -> String,
     ) -> Vec<NotifyState> {
         let mut states = Vec::new();
-        if !self.is_ready && progress.frames_ended > 0 {
+        if !self.is_ready && frames_ended > 0 {
             self.is_ready = true;
             states.push(NotifyState::Ready);
         }
         let since = |last: Option<Instant>| last.map(|last| now.saturating_duration_since(last));
-        let goes_on = progress.frames_ended > self.frames_reported || progress.is_held_up;
+        let goes_on = frames_ended > self.frames_reported || is_held_up;
         if let Some(feeding) = self.feeding
             && goes_on
             && since(self.last_fed).is_none_or(|since| since >= feeding.min(STATUS_PERIOD))
         {
             self.last_fed = Some(now);
-            self.frames_reported = progress.frames_ended;
+            self.frames_reported = frames_ended;
             states.push(NotifyState::Watchdog);
         }
         if since(self.last_status).is_none_or(|since| since >= STATUS_PERIOD) {
@@ -112,35 +104,30 @@ impl ServiceManager {
 mod tests {
     use super::*;
 
-    fn progress(frames_ended: u64) -> Progress {
-        Progress { frames_ended, is_held_up: false }
-    }
-
     #[test]
     fn a_run_is_ready_with_its_first_frame_and_feeds_the_watchdog_with_each_further_one() {
         let mut manager = ServiceManager::new(Some(Duration::from_secs(8)));
         let start = Instant::now();
-        let mut at = |s: f64, progress: Progress| {
-            let states =
-                manager.due(progress, start + Duration::from_secs_f64(s), || "a line".to_owned());
+        let mut at = |s: f64, frames_ended: u64, is_held_up: bool| {
+            let now = start + Duration::from_secs_f64(s);
+            let states = manager.due(frames_ended, is_held_up, now, || "a line".to_owned());
             let words: Vec<_> = states.iter().map(NotifyState::to_string).collect();
             words.join(" ")
         };
-        assert_eq!(at(0.0, progress(0)), "STATUS=a line");
-        assert_eq!(at(0.5, progress(1)), "READY=1 WATCHDOG=1");
-        assert_eq!(at(1.0, progress(2)), "STATUS=a line", "it was fed just now");
-        assert_eq!(at(2.0, progress(3)), "WATCHDOG=1 STATUS=a line");
+        assert_eq!(at(0.0, 0, false), "STATUS=a line");
+        assert_eq!(at(0.5, 1, false), "READY=1 WATCHDOG=1");
+        assert_eq!(at(1.0, 2, false), "STATUS=a line", "it was fed just now");
+        assert_eq!(at(2.0, 3, false), "WATCHDOG=1 STATUS=a line");
         // Nothing ends any more: the time that goes by does not feed it.
-        assert_eq!(at(60.0, progress(3)), "STATUS=a line");
+        assert_eq!(at(60.0, 3, false), "STATUS=a line");
         // Somebody has ended a stage.
-        let held_up = Progress { frames_ended: 3, is_held_up: true };
-        assert_eq!(at(61.0, held_up), "WATCHDOG=1 STATUS=a line");
+        assert_eq!(at(61.0, 3, true), "WATCHDOG=1 STATUS=a line");
     }
 
     #[test]
     fn without_a_watchdog_none_is_fed() {
         let mut manager = ServiceManager::new(None);
-        let states = manager.due(progress(1), Instant::now(), String::new);
+        let states = manager.due(1, false, Instant::now(), String::new);
         assert_eq!(states, [NotifyState::Ready, NotifyState::Status(String::new())]);
     }
 }

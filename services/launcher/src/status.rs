@@ -5,30 +5,25 @@ use std::fmt;
 use flockeye_cli::text_table::TextTable;
 use serde::Serialize;
 
-use crate::control::Worker;
+use crate::control::WorkerName;
 
-/// A pipeline's processes.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub(crate) struct PipelineStatus {
-    /// Its instance.
     pub instance: String,
-    /// The launcher's process.
     pub launcher_pid: u32,
     /// For how long it has run, seconds.
     pub running_s: f64,
     /// Frames that were searched to their end.
     pub frames: u64,
     /// The worker that is being swapped.
-    pub swapping: Option<Worker>,
+    pub swapping: Option<WorkerName>,
     /// Each worker, in the order of the dataflow.
     pub workers: Vec<WorkerStatus>,
 }
 
-/// One worker.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub(crate) struct WorkerStatus {
-    /// Its name.
-    pub worker: Worker,
+    pub worker: WorkerName,
     /// starting, ready, degraded, draining, finished, stopped, given up, is restarted, rests, waits
     /// for the others.
     pub state: String,
@@ -38,7 +33,6 @@ pub(crate) struct WorkerStatus {
     pub generation: u32,
     /// For how long its process has run, seconds.
     pub age_s: Option<f64>,
-    /// Its program and arguments.
     pub command: Vec<String>,
 }
 

@@ -7,7 +7,6 @@
 //! | [`hand_over`] | announces whose messages count |
 //! | [`recorder`] | runs the recorder, where flights are recorded |
 //! | [`requests`] | does what clients ask for by the control channel |
-//! | [`run_times`] | knows when the run has begun, and when it has had its time |
 //! | [`shared_memory`] | creates all topics |
 //! | [`swaps`] | replaces a process in flight |
 //! | [`taking_over`] | goes on with the processes that an earlier launcher left flying |
@@ -20,7 +19,6 @@ mod faults;
 mod hand_over;
 mod recorder;
 mod requests;
-mod run_times;
 mod shared_memory;
 mod swaps;
 mod taking_over;
@@ -30,7 +28,7 @@ mod workers;
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::sync_channel;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use flockeye_cli::Screen;
 use flockeye_config::{Pipeline, Resolved};
@@ -42,11 +40,9 @@ use flockeye_runtime::ports::{Ports, Subscriber};
 use self::console::Console;
 use self::hand_over::HandOverNotice;
 use self::recorder::Recorder;
-use self::run_times::RunTimes;
 use self::shared_memory::SharedMemory;
 use self::waiting_client::WaitingClient;
 use self::workers::Workers;
-use crate::control::Worker;
 use crate::control::server::Server;
 use crate::fault_point;
 use crate::run_log::{RunLog, RunOptions, RunSummary};
@@ -79,7 +75,10 @@ pub(crate) struct Supervisor<'a> {
     server: Server,
     waiting_clients: Vec<WaitingClient>,
     is_asked_to_end: bool,
-    times: RunTimes,
+    started: Instant,
+    source_started: Option<Instant>,
+    /// How long the source runs; `None`: until somebody ends the run.
+    duration: Option<Duration>,
     console: Console<'a>,
 }
 
@@ -97,7 +96,7 @@ impl<'a> Supervisor<'a> {
         screen: &'a mut Screen,
     ) -> anyhow::Result<Self> {
         let memory = SharedMemory::create(instance, budget)?;
-        let mut ports = memory.own_ports();
+        let mut ports = memory.ports();
         let (sender, log) = sync_channel(LOG_LINES);
         let (pipeline, is_kept) = (&resolved.pipeline, options.keep);
         let workers = Workers::prepare(pipeline, instance, &sender, is_kept)?;
@@ -117,24 +116,20 @@ impl<'a> Supervisor<'a> {
             server: Server::open(instance.folder())?,
             waiting_clients: Vec::new(),
             is_asked_to_end: false,
-            times: RunTimes::new(options.duration),
+            started: Instant::now(),
+            source_started: None,
+            duration: options.duration,
             console: Console::new(screen, log),
         })
     }
 
     /// Starts the consumers that do not run yet; the source follows when they are ready.
-    ///
-    /// # Errors
-    /// The system cannot start a process.
     pub(crate) fn start(&mut self) -> anyhow::Result<()> {
         self.recorder.as_mut().map_or(Ok(()), Recorder::start)?;
         self.workers.start_consumers()
     }
 
     /// Watches everything until it is time to stop.
-    ///
-    /// # Errors
-    /// Nothing works any more, or a file cannot be written.
     pub(crate) fn watch(&mut self, stopping: &AtomicBool) -> anyhow::Result<()> {
         let Some(ports) = self.ports.take() else { return Ok(()) };
         let outcome = ports.attend(|| {
@@ -149,7 +144,7 @@ impl<'a> Supervisor<'a> {
             self.start_source_in_time()?;
             let is_over = stopping.load(Ordering::Relaxed)
                 || self.is_asked_to_end
-                || self.times.is_over()
+                || self.duration.is_some_and(|duration| self.source_has_run(duration))
                 || self.messages.is_complete()
                 || self.is_at_end();
             if is_over {
@@ -176,14 +171,14 @@ impl<'a> Supervisor<'a> {
     /// Starts the source when all others are ready, or after a while: a foreign stage may send no
     /// health.
     fn start_source_in_time(&mut self) -> anyhow::Result<()> {
-        if self.times.source_started.is_some()
-            || !(self.all_are_ready() || self.times.started.elapsed() > self.start_time())
+        if self.source_started.is_some()
+            || !(self.all_are_ready() || self.started.elapsed() > self.start_time())
         {
             return Ok(());
         }
         self.workers.start_source()?;
-        self.times.note_source_start();
-        self.messages.expect_tracks();
+        self.source_started = Some(Instant::now());
+        self.messages.last_track = Instant::now();
         Ok(())
     }
 
@@ -196,40 +191,33 @@ impl<'a> Supervisor<'a> {
     /// stage counts: it waits for something outside, such as a gateway for its network port.
     fn all_are_ready(&self) -> bool {
         let mut workers = self.workers.processes.iter().map(|process| process.worker);
-        workers.all(|worker| worker.stage.is_source() || self.is_ready(worker))
+        workers.all(|worker| worker.stage.is_source() || self.messages.is_ready(worker))
             && self.recorder.as_ref().is_none_or(Recorder::has_joined)
     }
 
-    /// Whether a worker has reported that it is ready.
-    fn is_ready(&self, worker: Worker) -> bool {
-        let state = self.messages.state_of(worker.stage.name(), worker.replica);
-        matches!(state, Some(StageState::Ready | StageState::Degraded))
-    }
-
-    /// Whether this process of a worker has reported anything.
-    fn has_reported(&self, worker: Worker, pid: Option<u32>) -> bool {
-        let dashboard = &self.messages.dashboard;
-        let (stage, replica) = (worker.stage.name(), worker.replica);
-        pid.is_some_and(|pid| dashboard.last_report(stage, replica, pid).is_some())
-    }
-
     fn source_has_finished(&self) -> bool {
-        self.messages.state_of(self.pipeline.source.stage().name(), 0) == Some(StageState::Finished)
+        self.messages.dashboard.state_of(self.pipeline.source.stage().name(), 0)
+            == Some(StageState::Finished)
     }
 
     fn is_at_end(&self) -> bool {
-        self.source_has_finished() && self.messages.quiet_time() > QUIET_TIME
+        self.source_has_finished() && self.messages.last_track.elapsed() > QUIET_TIME
     }
 
     /// Whether it ran for longer than it takes to start.
     pub(crate) fn had_its_time(&self) -> bool {
-        self.times.source_has_run(self.start_time()) || self.is_at_end()
+        self.source_has_run(self.start_time()) || self.is_at_end()
+    }
+
+    /// Whether the source was started this long ago.
+    fn source_has_run(&self, time: Duration) -> bool {
+        self.source_started.is_some_and(|start| start.elapsed() >= time)
     }
 
     /// Stops every stage: asks first, then kills.
     pub(crate) fn stop(&mut self) {
         self.console.report_stop();
-        self.workers.stop(self.changeover.candidate(), &mut self.console);
+        self.workers.stop(self.changeover.new_process(), &mut self.console);
         // Last, so that it has recorded everything.
         if let Some(text) = self.recorder.as_mut().and_then(Recorder::stop) {
             self.console.line(&text);
@@ -238,9 +226,6 @@ impl<'a> Supervisor<'a> {
     }
 
     /// Shows the summary, completes the files and frees shared memory.
-    ///
-    /// # Errors
-    /// A file cannot be written.
     pub(crate) fn finish(mut self, ownership: Ownership) -> anyhow::Result<RunSummary> {
         let summary = self.messages.finish()?;
         if summary.frames > 0 {

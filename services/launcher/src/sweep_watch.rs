@@ -14,9 +14,6 @@ pub(crate) struct SweepWatch {
 
 impl SweepWatch {
     /// Subscribes to plans and detection records. `None` where the search mode sweeps nothing.
-    ///
-    /// # Errors
-    /// The topics have no room for another reader, or the configuration cannot be used.
     pub(crate) fn open(resolved: &Resolved, ports: &mut Ports) -> anyhow::Result<Option<Self>> {
         let Some(sweep) = Sweep::of(resolved)? else { return Ok(None) };
         let (plans, detections) = (ports.subscriber()?, ports.subscriber()?);
@@ -24,9 +21,6 @@ impl SweepWatch {
     }
 
     /// Takes the messages that have come.
-    ///
-    /// # Errors
-    /// The topics cannot be read.
     pub(crate) fn receive(&mut self) -> Result<(), PortError> {
         // Plans first, because records refer to them.
         while let Some(plan) = self.plans.receive()? {
@@ -38,7 +32,6 @@ impl SweepWatch {
         Ok(())
     }
 
-    /// See [`Sweep::report`].
     pub(crate) fn report(&self) -> Option<SweepReport> {
         self.sweep.report()
     }

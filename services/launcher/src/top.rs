@@ -37,9 +37,6 @@ const LIVE_PERIOD: Duration = Duration::from_millis(250);
 const PRINT_PERIOD: Duration = Duration::from_secs(1);
 
 /// Shows the dashboard until Ctrl-C, or until the pipeline ends.
-///
-/// # Errors
-/// No such pipeline runs, or its topics have no room for another reader.
 pub(crate) fn run(arguments: &TopArguments) -> anyhow::Result<()> {
     let stopping = signals::stop_flag()?;
     let Attached { mut ports, instance, resolved } = attach(&arguments.running)?;
@@ -66,7 +63,7 @@ pub(crate) fn run(arguments: &TopArguments) -> anyhow::Result<()> {
         }
         if let Some(sweep) = &mut sweep {
             sweep.receive()?;
-            dashboard.sphere(sweep.report());
+            dashboard.sphere = sweep.report();
         }
         let is_over = stopping.load(Ordering::Relaxed)
             || arguments.duration.is_some_and(|duration| start.elapsed() >= duration);

@@ -17,11 +17,12 @@ use flockeye_contract::{
 };
 use serde_json::{Value, json};
 
+use crate::control::worker_label;
+
 /// A frame is exposed before the previous one is published, so their slices overlap. Overlapping
 /// slices need rows of their own.
 const SOURCE_ROWS: u64 = 16;
 
-/// Collects events.
 #[derive(Debug)]
 pub(crate) struct Tracer {
     source: &'static str,
@@ -49,7 +50,6 @@ impl Tracer {
         }
     }
 
-    /// How many frames have events.
     pub(crate) fn frames(&self) -> usize {
         self.frames.len()
     }
@@ -58,7 +58,8 @@ impl Tracer {
     pub(crate) fn health(&mut self, health: &Health) {
         let stage = health.stage.to_string();
         let pid = self.process(&stage, health.replica);
-        self.processes.insert(pid, format!("{} ({})", label(&stage, health.replica), health.pid));
+        self.processes
+            .insert(pid, format!("{} ({})", worker_label(&stage, health.replica), health.pid));
         self.events.push(json!({
             "name": "queued", "ph": "C", "ts": micros(health.sent_ns), "pid": pid,
             "args": {"queued": health.queued},
@@ -119,7 +120,6 @@ impl Tracer {
         }
     }
 
-    /// The whole trace.
     pub(crate) fn finish(mut self) -> Value {
         let named: Vec<Value> = self
             .processes
@@ -189,13 +189,9 @@ impl Tracer {
             None => others.count() as u32 + 1,
         };
         let pid = 1000 * rank + replica;
-        self.processes.entry(pid).or_insert_with(|| label(stage, replica));
+        self.processes.entry(pid).or_insert_with(|| worker_label(stage, replica));
         pid
     }
-}
-
-fn label(stage: &str, replica: u32) -> String {
-    if replica == 0 { stage.to_owned() } else { format!("{stage}.{replica}") }
 }
 
 /// Trace times are microseconds, with fractions.

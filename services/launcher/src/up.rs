@@ -3,7 +3,6 @@
 use std::sync::atomic::AtomicBool;
 
 use anyhow::{Context, ensure};
-use clap::Args;
 use flockeye_cli::{Configuration, Screen, signals};
 use flockeye_config::{Flow, Pipeline, Resolved};
 use flockeye_dictionary::Dictionary;
@@ -14,25 +13,10 @@ use iceoryx2::prelude::*;
 use crate::run_log::{RunOptions, RunSummary};
 use crate::supervisor::{Supervisor, unfinished_swap};
 
-/// Arguments of `up`.
-#[derive(Debug, Args)]
-pub(crate) struct UpArguments {
-    /// Which configuration.
-    #[command(flatten)]
-    pub configuration: Configuration,
-    /// What ends the run, and what is recorded of it.
-    #[command(flatten)]
-    pub options: RunOptions,
-}
-
-/// Runs `flockeye up`.
-///
-/// # Errors
-/// The configuration is wrong, the instance is taken, memory is short, or a stage cannot work.
-pub(crate) fn run(arguments: &UpArguments) -> anyhow::Result<()> {
+pub(crate) fn run(configuration: &Configuration, options: &RunOptions) -> anyhow::Result<()> {
     let stopping = signals::stop_flag()?;
-    let pipeline = arguments.configuration.load()?;
-    run_pipeline(&pipeline, &arguments.options, &mut Screen::new(), &stopping).map(drop)
+    let pipeline = configuration.load()?;
+    run_pipeline(&pipeline, options, &mut Screen::new(), &stopping).map(drop)
 }
 
 /// The configuration of stages that fly on. It stays as it is, whatever `wanted` is.

@@ -10,9 +10,6 @@ use flockeye_runtime::instance::Instance;
 use crate::core::Core;
 
 /// The facts about a pipeline that begin its recording, and the core that makes the recording.
-///
-/// # Errors
-/// The pipeline's configuration cannot be read.
 pub(crate) fn beginning(instance: &Instance, resolved: &Resolved) -> anyhow::Result<(About, Core)> {
     let pipeline = &resolved.pipeline;
     let path = instance.folder().join("pipeline.json");

@@ -12,19 +12,12 @@ use flockeye_recording::{ChannelKind, RecordingError, TopicLayout, layouts, pose
 use flockeye_ros2::messages::Time;
 use flockeye_ros2::ros_name;
 
-use crate::entry::Entry;
 use crate::jpeg;
+use crate::message::TopicMessage;
 
-/// A message of a recording.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub(crate) struct Output {
-    /// Its channel.
-    pub channel: Arc<ChannelKind>,
-    /// Its bytes.
-    pub bytes: Vec<u8>,
-}
+/// A message of a recording: its channel and its bytes.
+pub(crate) type Output = (Arc<ChannelKind>, Vec<u8>);
 
-/// Makes what is recorded of messages.
 #[derive(Debug)]
 pub(crate) struct Core {
     topics: Vec<(TopicLayout, Arc<ChannelKind>)>,
@@ -56,13 +49,10 @@ impl Core {
     }
 
     /// What is recorded of a message: itself first, then what follows from it.
-    ///
-    /// # Errors
-    /// It is no message of its topic.
-    pub(crate) fn on(&self, entry: &Entry) -> anyhow::Result<Vec<Output>> {
+    pub(crate) fn on(&self, entry: &TopicMessage) -> anyhow::Result<Vec<Output>> {
         let Some((layout, channel)) = self.topics.get(entry.topic) else { return Ok(Vec::new()) };
         let bytes = encode(layout, &entry.message)?;
-        let mut outputs = vec![Output { channel: channel.clone(), bytes }];
+        let mut outputs = vec![(channel.clone(), bytes)];
         match (TOPICS[entry.topic].id, &entry.pixels) {
             (TopicId::Tracks, _) => outputs.extend(self.poses(entry)?),
             (TopicId::Views, Some(pixels)) => outputs.push(self.view(entry, pixels)),
@@ -77,41 +67,41 @@ impl Core {
     pub(crate) fn loss(&self, topic: usize, loss: &Loss) -> Output {
         let name = TOPICS.get(topic).map_or("", |topic| topic.name);
         let bytes = encode_loss(name, loss);
-        Output { channel: self.losses.clone(), bytes }
+        (self.losses.clone(), bytes)
     }
 
-    fn poses(&self, entry: &Entry) -> Result<Vec<Output>, RecordingError> {
+    fn poses(&self, entry: &TopicMessage) -> Result<Vec<Output>, RecordingError> {
         let header: TrackHeader = header_of(entry);
         let size = size_of::<Track>();
         let tracks: Vec<Track> =
             entry.message.items.chunks_exact(size).map(bytemuck::pod_read_unaligned).collect();
         let stamp_ns = self.utc_ns(header.stamp.exposure_ns);
         let messages = poses::of_tracks(&tracks, stamp_ns, &self.observer)?;
-        let output = |(channel, bytes)| Output { channel: Arc::new(channel), bytes };
+        let output = |(channel, bytes)| (Arc::new(channel), bytes);
         Ok(messages.into_iter().map(output).collect())
     }
 
-    fn view(&self, entry: &Entry, pixels: &[u8]) -> Output {
+    fn view(&self, entry: &TopicMessage, pixels: &[u8]) -> Output {
         let header: ViewHeader = header_of(entry);
         let image =
             Image { width: header.size_px, height: header.size_px, step: header.stride, pixels };
         let stamp = self.time(header.stamp.exposure_ns);
         let bytes = encode_image(stamp, &self.camera(), &image);
-        Output { channel: self.view_images.clone(), bytes }
+        (self.view_images.clone(), bytes)
     }
 
-    fn frame(&self, entry: &Entry, pixels: &[u8]) -> anyhow::Result<Output> {
+    fn frame(&self, entry: &TopicMessage, pixels: &[u8]) -> anyhow::Result<Output> {
         let FrameHeader { stamp, width, height, stride, .. } = header_of(entry);
         let jpeg = jpeg::encode(pixels, width, height, stride)?;
         let bytes = encode_compressed(self.time(stamp.exposure_ns), &self.camera(), "jpeg", &jpeg);
-        Ok(Output { channel: self.frame_images.clone(), bytes })
+        Ok((self.frame_images.clone(), bytes))
     }
 
-    fn packet(&self, entry: &Entry, packet: &[u8]) -> Output {
+    fn packet(&self, entry: &TopicMessage, packet: &[u8]) -> Output {
         let PacketHeader { exposure_ns, codec, .. } = header_of(entry);
         let format = if codec == VideoCodec::H265.code() { "h265" } else { "h264" };
         let bytes = encode_video(self.time(exposure_ns), &self.camera(), format, packet);
-        Output { channel: self.frame_video.clone(), bytes }
+        (self.frame_video.clone(), bytes)
     }
 
     fn camera(&self) -> String {
@@ -129,7 +119,7 @@ impl Core {
 
 /// The header, copied. A message's header has the size of its type, because [`encode`] has checked
 /// it.
-fn header_of<H: bytemuck::AnyBitPattern>(entry: &Entry) -> H {
+fn header_of<H: bytemuck::AnyBitPattern>(entry: &TopicMessage) -> H {
     bytemuck::pod_read_unaligned(&entry.message.header)
 }
 
@@ -147,13 +137,13 @@ mod tests {
         TOPICS.iter().position(|topic| topic.id == id).unwrap()
     }
 
-    fn entry<H: bytemuck::Pod>(id: TopicId, header: &H, items: &[u8]) -> Entry {
+    fn entry<H: bytemuck::Pod>(id: TopicId, header: &H, items: &[u8]) -> TopicMessage {
         let message = ContractMessage {
             header: bytemuck::bytes_of(header).to_vec(),
             items: items.to_vec(),
             payload_bytes: 0,
         };
-        Entry { topic: place(id), at_ns: 5, message, pixels: None }
+        TopicMessage { topic: place(id), at_ns: 5, message, pixels: None }
     }
 
     #[test]
@@ -172,30 +162,32 @@ mod tests {
         let entry = entry(TopicId::Tracks, &header, bytemuck::bytes_of(&track));
         let core = Core::new("wren-1", 1_700_000_000_000_000_000);
         let outputs = core.on(&entry).unwrap();
-        let topics: Vec<_> = outputs.iter().map(|output| output.channel.topic.as_str()).collect();
+        let topics: Vec<_> = outputs.iter().map(|(channel, _)| channel.topic.as_str()).collect();
         assert_eq!(topics, ["/flockeye/track", "/wren_1/neighbours/kite/pose", "/tf"]);
         let layout = &core.topics[entry.topic].0;
-        assert_eq!(decode(layout, &outputs[0].bytes).unwrap(), entry.message);
-        assert_eq!(outputs[1].bytes[4..8], 1_700_000_001_i32.to_le_bytes());
-        assert_eq!(outputs[1].bytes[8..12], 123_u32.to_le_bytes());
+        assert_eq!(decode(layout, &outputs[0].1).unwrap(), entry.message);
+        assert_eq!(outputs[1].1[4..8], 1_700_000_001_i32.to_le_bytes());
+        assert_eq!(outputs[1].1[8..12], 123_u32.to_le_bytes());
     }
 
     #[test]
     fn pixels_are_recorded_beside_their_header() {
         let header = ViewHeader { size_px: 3, stride: 4, ..ViewHeader::default() };
         let pixels: Vec<u8> = (0..12).collect();
-        let view = Entry { pixels: Some(pixels.clone()), ..entry(TopicId::Views, &header, &[]) };
+        let view =
+            TopicMessage { pixels: Some(pixels.clone()), ..entry(TopicId::Views, &header, &[]) };
         let core = Core::new("wren", 0);
         let outputs = core.on(&view).unwrap();
         assert_eq!(outputs.len(), 2);
-        let image = decode_image("x", &outputs[1].bytes).unwrap();
+        let image = decode_image("x", &outputs[1].1).unwrap();
         assert_eq!((image.width, image.height, image.step), (3, 3, 4));
         assert_eq!(image.pixels, pixels);
         let frame = FrameHeader { width: 8, height: 8, stride: 8, ..FrameHeader::default() };
-        let frame = Entry { pixels: Some(vec![7; 64]), ..entry(TopicId::Frames, &frame, &[]) };
+        let frame =
+            TopicMessage { pixels: Some(vec![7; 64]), ..entry(TopicId::Frames, &frame, &[]) };
         let outputs = core.on(&frame).unwrap();
-        assert_eq!(outputs[1].channel.message, "sensor_msgs/msg/CompressedImage");
-        let lying = Entry { pixels: Some(vec![7; 63]), ..frame };
+        assert_eq!(outputs[1].0.message, "sensor_msgs/msg/CompressedImage");
+        let lying = TopicMessage { pixels: Some(vec![7; 63]), ..frame };
         assert!(core.on(&lying).is_err());
     }
 
@@ -208,12 +200,14 @@ mod tests {
                 ..Default::default()
             };
             let bytes = vec![0, 0, 1, 0x65, 9];
-            let packet =
-                Entry { pixels: Some(bytes.clone()), ..entry(TopicId::Packets, &header, &[]) };
+            let packet = TopicMessage {
+                pixels: Some(bytes.clone()),
+                ..entry(TopicId::Packets, &header, &[])
+            };
             let outputs = Core::new("wren", 0).on(&packet).unwrap();
-            assert_eq!(outputs[0].channel.topic, "/flockeye/packet");
-            assert_eq!(outputs[1].channel.message, "foxglove_msgs/msg/CompressedVideo");
-            let video = decode_video("x", &outputs[1].bytes).unwrap();
+            assert_eq!(outputs[0].0.topic, "/flockeye/packet");
+            assert_eq!(outputs[1].0.message, "foxglove_msgs/msg/CompressedVideo");
+            let video = decode_video("x", &outputs[1].1).unwrap();
             assert_eq!((video.format, video.bytes), (format, &bytes[..]));
             assert_eq!(video.stamp, Time { sec: 3, nanosec: 7 });
         }
@@ -222,9 +216,9 @@ mod tests {
     #[test]
     fn what_is_missing_is_written_too() {
         let loss = Loss { recorded: 9, queue_full: 2, ..Loss::default() };
-        let output = Core::new("wren", 0).loss(place(TopicId::Plans), &loss);
-        assert_eq!(output.channel.topic, "/flockeye/recording/loss");
-        assert_eq!(&output.bytes[4..22], b"\x0e\0\0\0flockeye/plan\0");
-        assert_eq!(output.bytes[output.bytes.len() - 8..], 2_u64.to_le_bytes());
+        let (channel, bytes) = Core::new("wren", 0).loss(place(TopicId::Plans), &loss);
+        assert_eq!(channel.topic, "/flockeye/recording/loss");
+        assert_eq!(&bytes[4..22], b"\x0e\0\0\0flockeye/plan\0");
+        assert_eq!(bytes[bytes.len() - 8..], 2_u64.to_le_bytes());
     }
 }

@@ -14,10 +14,12 @@ pub(crate) struct Files {
     about: About,
     split_bytes: Option<u64>,
     writer: Option<RecordingWriter>,
-    /// How many were begun.
-    count: u32,
-    messages: u64,
-    bytes: u64,
+    /// Files that were begun.
+    pub(crate) count: u32,
+    /// Messages that were written.
+    pub(crate) messages: u64,
+    /// Bytes of the files that were ended.
+    pub(crate) bytes: u64,
 }
 
 impl Files {
@@ -28,9 +30,6 @@ impl Files {
     }
 
     /// Begins the first file, or the next.
-    ///
-    /// # Errors
-    /// It cannot be created: [`RecordingError`].
     pub(crate) fn begin(&mut self) -> Result<(), RecordingError> {
         let path = match self.count {
             0 => self.first.clone(),
@@ -45,9 +44,6 @@ impl Files {
     }
 
     /// Begins a file of its own for what came before something: `flight-20260102T030405Z.mcap`.
-    ///
-    /// # Errors
-    /// As [`Files::begin`].
     pub(crate) fn begin_dated(&mut self, utc_ns: i64) -> Result<PathBuf, RecordingError> {
         let since = std::time::Duration::from_nanos(u64::try_from(utc_ns).unwrap_or(0));
         let names = dated::names("", std::time::UNIX_EPOCH + since);
@@ -77,9 +73,6 @@ impl Files {
 
     /// Begins the next file where one is as large as it may be. What belongs together is written
     /// between two calls.
-    ///
-    /// # Errors
-    /// As [`Files::begin`] and [`Files::end`].
     pub(crate) fn split_if_full(&mut self) -> Result<(), RecordingError> {
         let is_full = self
             .writer
@@ -93,39 +86,29 @@ impl Files {
     }
 
     /// Writes a message that came at `at_ns`, CLOCK_MONOTONIC.
-    ///
-    /// # Errors
-    /// As [`RecordingWriter::write`].
-    pub(crate) fn write(&mut self, at_ns: i64, output: &Output) -> Result<(), RecordingError> {
+    pub(crate) fn write(
+        &mut self,
+        at_ns: i64,
+        (channel, bytes): &Output,
+    ) -> Result<(), RecordingError> {
         if let Some(writer) = &mut self.writer {
-            writer.write(&output.channel, at_ns, &output.bytes)?;
+            writer.write(channel, at_ns, bytes)?;
             self.messages += 1;
         }
         Ok(())
     }
 
     /// Has the disk take what was written.
-    ///
-    /// # Errors
-    /// As [`RecordingWriter::flush`].
     pub(crate) fn flush(&mut self) -> Result<(), RecordingError> {
         self.writer.as_mut().map_or(Ok(()), RecordingWriter::flush)
     }
 
     /// Ends the file that is being written.
-    ///
-    /// # Errors
-    /// As [`RecordingWriter::finish`].
     pub(crate) fn end(&mut self) -> Result<(), RecordingError> {
         if let Some(writer) = self.writer.take() {
             self.bytes += writer.finish()?;
         }
         Ok(())
-    }
-
-    /// How many files and messages were written, and the bytes of the files that were ended.
-    pub(crate) fn written(&self) -> (u32, u64, u64) {
-        (self.count, self.messages, self.bytes)
     }
 }
 
@@ -141,7 +124,7 @@ fn beside(path: &Path, added: &str) -> PathBuf {
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
-    use flockeye_recording::{ChannelKind, Reader};
+    use flockeye_recording::{ChannelKind, RecordingReader};
     use std::sync::Arc;
 
     /// Bytes that cannot be compressed.
@@ -163,19 +146,19 @@ mod tests {
         files.begin().unwrap();
         let channel = Arc::new(ChannelKind::of_losses());
         for at_ns in 0..40 {
-            let output = Output { channel: channel.clone(), bytes: noise(at_ns as u64) };
+            let output = (channel.clone(), noise(at_ns as u64));
             files.split_if_full().unwrap();
             files.write(at_ns, &output).unwrap();
         }
         files.end().unwrap();
-        let (count, messages, bytes) = files.written();
+        let Files { count, messages, bytes, .. } = files;
         assert_eq!(messages, 40);
         assert!(count >= 3 && bytes > 4_000_000, "{count} files, {bytes} bytes");
         let mut next = 0;
         for number in 0..count {
             let name =
                 if number == 0 { "flight.mcap".into() } else { format!("flight-{number}.mcap") };
-            let mut reader = Reader::open(&folder.path().join(name)).unwrap();
+            let mut reader = RecordingReader::open(&folder.path().join(name)).unwrap();
             assert_eq!(reader.about().metadata["file"], number.to_string());
             while let Some(message) = reader.next_message().unwrap() {
                 assert_eq!(message.bytes, noise(next));

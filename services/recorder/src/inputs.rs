@@ -10,8 +10,8 @@ use flockeye_runtime::memory::Budget;
 use flockeye_runtime::ports::{Ports, Sender, Subscriber};
 
 use crate::arguments::FramesChoice;
-use crate::entry::Entry;
-use crate::queue::Queue;
+use crate::message::TopicMessage;
+use crate::queue::WriteQueue;
 
 /// The source has no packets: trying again will not help.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -28,65 +28,49 @@ impl std::fmt::Display for NotCoded {
 
 impl std::error::Error for NotCoded {}
 
-/// All topics of a pipeline.
-pub struct Inputs {
-    inputs: Vec<Box<dyn Input>>,
+/// Hands over all messages of a lane that have come. False where some wait until there is room.
+pub(crate) type DrainLane = Box<dyn FnMut(&WriteQueue) -> anyhow::Result<bool>>;
+
+/// Subscribes to all lanes of all topics. One that has no room for another reader is left out,
+/// unless its pictures are wanted.
+pub(crate) fn open_lanes(
+    ports: &mut Ports,
+    budget: &Budget,
+    frames: FramesChoice,
+) -> anyhow::Result<Vec<DrainLane>> {
+    let mut opener = LaneOpener { ports, budget, frames, lanes: Vec::new() };
+    flockeye_contract::visit_topics(&mut opener)?;
+    Ok(opener.lanes)
 }
 
-/// A lane of a topic.
-trait Input {
-    /// Hands over all messages that have come. False where some wait until there is room.
-    fn drain(&mut self, queue: &Queue) -> anyhow::Result<bool>;
+/// Hands over all messages that have come. False where some wait until there is room.
+pub(crate) fn drain(lanes: &mut [DrainLane], queue: &WriteQueue) -> anyhow::Result<bool> {
+    lanes.iter_mut().try_fold(true, |is_drained, drain| Ok(drain(queue)? & is_drained))
 }
 
-impl Inputs {
-    /// Subscribes to all topics. One that has no room for another reader is left out, unless its
-    /// pictures are wanted.
-    ///
-    /// # Errors
-    /// That, or a topic that is not there.
-    pub fn open(ports: &mut Ports, budget: &Budget, frames: FramesChoice) -> anyhow::Result<Self> {
-        let mut opening = Opening { ports, budget, frames, inputs: Vec::new() };
-        flockeye_contract::visit_topics(&mut opening)?;
-        Ok(Self { inputs: opening.inputs })
-    }
-
-    /// Hands over all messages that have come. False where some wait until there is room.
-    ///
-    /// # Errors
-    /// A topic cannot be read.
-    pub fn drain(&mut self, queue: &Queue) -> anyhow::Result<bool> {
-        let mut is_drained = true;
-        for input in &mut self.inputs {
-            is_drained &= input.drain(queue)?;
-        }
-        Ok(is_drained)
-    }
-}
-
-struct Opening<'o> {
+struct LaneOpener<'o> {
     ports: &'o mut Ports,
     budget: &'o Budget,
     frames: FramesChoice,
-    inputs: Vec<Box<dyn Input>>,
+    lanes: Vec<DrainLane>,
 }
 
-impl TopicVisitor for Opening<'_> {
+impl TopicVisitor for LaneOpener<'_> {
     type Error = anyhow::Error;
 
     fn visit<T: Topic + 'static>(&mut self) -> anyhow::Result<()> {
-        let pixels = match (T::INFO.id, self.frames) {
-            (TopicId::Views, FramesChoice::Views) => Pixels::All,
-            (TopicId::Packets, FramesChoice::Camera) => Pixels::All,
+        let pixels_of_each = match (T::INFO.id, self.frames) {
+            (TopicId::Views, FramesChoice::Views) => Some(1),
+            (TopicId::Packets, FramesChoice::Camera) => Some(1),
             // Packets are sent because somebody reads them.
             (TopicId::Packets, _) => return Ok(()),
-            (TopicId::Frames, FramesChoice::Every(count)) => Pixels::Every(count),
-            _ => Pixels::None,
+            (TopicId::Frames, FramesChoice::Every(count)) => Some(count),
+            _ => None,
         };
         let subscribers = match self.ports.late_subscribers_of_all_lanes::<T>() {
             Ok(subscribers) => subscribers,
             // Other tools have all places; anything else is no reason to record without it.
-            Err(error) if error.is_crowded() && pixels == Pixels::None => {
+            Err(error) if error.is_crowded() && pixels_of_each.is_none() => {
                 tracing::warn!(
                     topic = T::NAME,
                     "not recorded: {error}. Cure: end other tools that look on"
@@ -101,20 +85,19 @@ impl TopicVisitor for Opening<'_> {
         let (buffer, is_awaited) = (limits.buffer, limits.patience.is_some());
         for subscriber in subscribers {
             let (numbering, has_begun) = (None, T::INFO.id != TopicId::Packets);
-            let lane = Lane { subscriber, topic, buffer, is_awaited, pixels, numbering, has_begun };
-            self.inputs.push(Box::new(lane));
+            let mut lane = Lane {
+                subscriber,
+                topic,
+                buffer,
+                is_awaited,
+                pixels_of_each,
+                numbering,
+                has_begun,
+            };
+            self.lanes.push(Box::new(move |queue| lane.drain(queue)));
         }
         Ok(())
     }
-}
-
-/// Which pixels are recorded.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Pixels {
-    None,
-    All,
-    /// The pixels of frames whose number is a multiple of this.
-    Every(u64),
 }
 
 struct Lane<T: Topic> {
@@ -124,7 +107,8 @@ struct Lane<T: Topic> {
     buffer: usize,
     /// Whether senders wait where its buffer is full, so that none of their messages is lost.
     is_awaited: bool,
-    pixels: Pixels,
+    /// The pixels of each Nth message are recorded; `None`: no pixels.
+    pixels_of_each: Option<u64>,
     numbering: Option<Numbering>,
     /// Packets begin with a key frame.
     has_begun: bool,
@@ -174,8 +158,8 @@ impl Numbering {
     }
 }
 
-impl<T: Topic> Input for Lane<T> {
-    fn drain(&mut self, queue: &Queue) -> anyhow::Result<bool> {
+impl<T: Topic> Lane<T> {
+    fn drain(&mut self, queue: &WriteQueue) -> anyhow::Result<bool> {
         // How many of each sender have come at once: as many as its buffer has room for may be
         // those that are left.
         let mut counts: Vec<(Sender, usize)> = Vec::new();
@@ -213,14 +197,11 @@ impl<T: Topic> Input for Lane<T> {
             self.numbering = numbering;
             let items: &[u8] = bytemuck::cast_slice(message.items());
             let is_bytes = size_of::<T::Item>() == 1;
-            let is_wanted = match self.pixels {
-                Pixels::None => false,
-                Pixels::All => true,
-                Pixels::Every(count) => {
-                    numbering.is_some_and(|numbering| numbering.number.is_multiple_of(count))
-                }
-            };
-            queue.push(Entry {
+            let is_wanted = self.pixels_of_each.is_some_and(|count| {
+                count == 1
+                    || numbering.is_some_and(|numbering| numbering.number.is_multiple_of(count))
+            });
+            queue.push(TopicMessage {
                 topic: self.topic,
                 at_ns: clock::monotonic_ns(),
                 message: ContractMessage {

@@ -8,11 +8,10 @@
 //! | module | what it does |
 //! | --- | --- |
 //! | [`arguments`] | the command line |
-//! | `entry` | a message as it was received |
+//! | `message` | a message as it was received, and what it means for the recording: pure |
 //! | [`inputs`] | receives every topic of the contract, and notices what was lost |
 //! | `queue` | from the thread that receives to the one that writes |
 //! | `core` | what of a message is recorded: pure |
-//! | `events` | what a message means for the recording: pure |
 //! | `about` | the facts about a pipeline that stand in its recording |
 //! | `ring` | the newest messages, for recordings of what led to something |
 //! | `files` | the files: begun, split, ended |
@@ -26,12 +25,11 @@
 mod about;
 pub mod arguments;
 mod core;
-mod entry;
-mod events;
 mod files;
 pub mod inputs;
 mod jpeg;
 mod loss_reports;
+mod message;
 mod queue;
 mod ring;
 mod stage;

@@ -7,17 +7,12 @@ use flockeye_runtime::logs::Throttle;
 /// Notices new losses, and warns of them.
 #[derive(Default)]
 pub(crate) struct LossReports {
-    /// The losses that were reported last.
-    reported: Vec<Loss>,
+    /// The losses that were reported last. Each file counts all of them anew.
+    pub(crate) reported: Vec<Loss>,
     warnings: Throttle,
 }
 
 impl LossReports {
-    /// Reports all losses again, as each file counts them.
-    pub(crate) fn begin_file(&mut self) {
-        self.reported.clear();
-    }
-
     /// The topics, by their index, of which something was lost since the last call, with all that
     /// is lost of each. The log has a warning of them.
     pub(crate) fn news(&mut self, losses: Vec<Loss>) -> Vec<(usize, Loss)> {

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use flockeye_recording::losses::Loss;
 use flockeye_runtime::lock::lock;
 
-use crate::entry::Entry;
+use crate::message::TopicMessage;
 
 /// Time for which messages wait for others: a receiver that each of them wakes takes more of a
 /// processor.
@@ -15,14 +15,14 @@ const GATHER: Duration = Duration::from_millis(50);
 
 /// The sender's and the receiver's end.
 #[derive(Debug, Clone)]
-pub struct Queue {
+pub(crate) struct WriteQueue {
     shared: Arc<(Mutex<State>, Condvar)>,
     most_bytes: usize,
 }
 
 #[derive(Debug, Default)]
 struct State {
-    entries: VecDeque<Entry>,
+    entries: VecDeque<TopicMessage>,
     bytes: usize,
     losses: Vec<Loss>,
     is_closed: bool,
@@ -32,24 +32,22 @@ struct State {
 
 /// What the receiver's end gives.
 #[derive(Debug, PartialEq, Eq)]
-pub enum Taken {
-    /// The next message.
-    Entry(Entry),
+pub(crate) enum Taken {
+    Message(TopicMessage),
     /// No message has come in time.
     Nothing,
     /// No further message will come.
     End,
 }
 
-impl Queue {
-    /// A queue with room for `most_bytes` bytes, for `topics` topics.
-    pub fn new(most_bytes: usize, topics: usize) -> Self {
+impl WriteQueue {
+    pub(crate) fn new(most_bytes: usize, topics: usize) -> Self {
         let state = State { losses: vec![Loss::default(); topics], ..State::default() };
         Self { shared: Arc::new((Mutex::new(state), Condvar::new())), most_bytes }
     }
 
     /// Adds a message, unless there is no room: then it is counted as lost.
-    pub fn push(&self, entry: Entry) {
+    pub(crate) fn push(&self, entry: TopicMessage) {
         let (topic, bytes) = (entry.topic, entry.bytes());
         let is_urgent = self.with(|state| {
             let is_full = state.bytes + bytes > self.most_bytes && !state.entries.is_empty();
@@ -70,12 +68,12 @@ impl Queue {
 
     /// Whether whoever is waited for may go on receiving: half of the room is left to messages of
     /// which nobody waits.
-    pub fn has_room(&self) -> bool {
+    pub(crate) fn has_room(&self) -> bool {
         self.with(|state| state.bytes <= self.most_bytes / 2)
     }
 
     /// Notes what else was lost of a topic.
-    pub fn note(&self, topic: usize, note: impl FnOnce(&mut Loss)) {
+    pub(crate) fn note(&self, topic: usize, note: impl FnOnce(&mut Loss)) {
         self.with(|state| {
             if let Some(loss) = state.losses.get_mut(topic) {
                 note(loss);
@@ -84,41 +82,39 @@ impl Queue {
     }
 
     /// What was recorded and lost of each topic until now.
-    pub fn losses(&self) -> Vec<Loss> {
+    pub(crate) fn losses(&self) -> Vec<Loss> {
         self.with(|state| state.losses.clone())
     }
 
-    /// Asks that a ring is written.
-    pub fn ask(&self) {
+    pub(crate) fn ask(&self) {
         self.with(|state| state.is_asked = true);
         self.shared.1.notify_one();
     }
 
     /// Whether somebody has asked since the last time.
-    pub fn take_request(&self) -> bool {
+    pub(crate) fn take_request(&self) -> bool {
         self.with(|state| std::mem::take(&mut state.is_asked))
     }
 
     /// No more will come, or nobody takes any more.
-    pub fn close(&self) {
+    pub(crate) fn close(&self) {
         self.with(|state| state.is_closed = true);
         self.shared.1.notify_one();
     }
 
-    /// Whether it was closed.
-    pub fn is_closed(&self) -> bool {
+    pub(crate) fn is_closed(&self) -> bool {
         self.with(|state| state.is_closed)
     }
 
     /// The next message; waits for it until then, or until somebody asks for something. Where it
     /// waits, several may have come when it returns.
-    pub fn take(&self, until: Instant) -> Taken {
+    pub(crate) fn take(&self, until: Instant) -> Taken {
         let (mutex, condition) = &*self.shared;
         let mut state = lock(mutex);
         loop {
             if let Some(entry) = state.entries.pop_front() {
                 state.bytes -= entry.bytes();
-                return Taken::Entry(entry);
+                return Taken::Message(entry);
             }
             if state.is_closed {
                 return Taken::End;
@@ -142,14 +138,14 @@ mod tests {
     use super::*;
     use flockeye_recording::ContractMessage;
 
-    fn entry(topic: usize, at_ns: i64, bytes: usize) -> Entry {
+    fn entry(topic: usize, at_ns: i64, bytes: usize) -> TopicMessage {
         let message = ContractMessage { header: vec![0; bytes], ..ContractMessage::default() };
-        Entry { topic, at_ns, message, pixels: None }
+        TopicMessage { topic, at_ns, message, pixels: None }
     }
 
     #[test]
     fn what_finds_no_room_is_counted_and_the_rest_keeps_its_order() {
-        let queue = Queue::new(1_000, 2);
+        let queue = WriteQueue::new(1_000, 2);
         for at_ns in 0..5 {
             queue.push(entry(1, at_ns, 272));
         }
@@ -158,16 +154,16 @@ mod tests {
         assert_eq!((some.recorded, some.queue_full), (2, 3));
         let soon = Instant::now();
         assert!(!queue.has_room());
-        assert_eq!(queue.take(soon), Taken::Entry(entry(1, 0, 272)));
+        assert_eq!(queue.take(soon), Taken::Message(entry(1, 0, 272)));
         assert!(queue.has_room());
         // There is room again; and one that is larger than the queue goes through an empty one.
         queue.push(entry(1, 9, 100));
-        assert_eq!(queue.take(soon), Taken::Entry(entry(1, 1, 272)));
-        assert_eq!(queue.take(soon), Taken::Entry(entry(1, 9, 100)));
+        assert_eq!(queue.take(soon), Taken::Message(entry(1, 1, 272)));
+        assert_eq!(queue.take(soon), Taken::Message(entry(1, 9, 100)));
         assert_eq!(queue.take(soon), Taken::Nothing);
         queue.push(entry(0, 10, 5_000));
         queue.close();
-        assert_eq!(queue.take(soon), Taken::Entry(entry(0, 10, 5_000)));
+        assert_eq!(queue.take(soon), Taken::Message(entry(0, 10, 5_000)));
         assert_eq!(queue.take(soon), Taken::End);
     }
 }

@@ -3,33 +3,29 @@
 use std::collections::VecDeque;
 use std::time::Duration;
 
-use crate::entry::Entry;
+use crate::message::TopicMessage;
 
 /// Limit for the bytes that are kept, however short the time is.
-const MOST_BYTES: usize = 256_000_000;
+pub(crate) const MOST_BYTES: usize = 256_000_000;
 
 /// Messages of the last while.
 #[derive(Debug)]
 pub(crate) struct Ring {
-    entries: VecDeque<Entry>,
+    entries: VecDeque<TopicMessage>,
     bytes: usize,
     past_ns: i64,
     most_bytes: usize,
 }
 
 impl Ring {
-    /// Keeps messages of the last `past`.
-    pub(crate) fn new(past: Duration) -> Self {
-        Self::bounded(past, MOST_BYTES)
-    }
-
-    fn bounded(past: Duration, most_bytes: usize) -> Self {
+    /// Keeps messages of the last `past`, of `most_bytes` bytes at most.
+    pub(crate) fn new(past: Duration, most_bytes: usize) -> Self {
         let past_ns = i64::try_from(past.as_nanos()).unwrap_or(i64::MAX);
         Self { entries: VecDeque::new(), bytes: 0, past_ns, most_bytes }
     }
 
     /// Adds a message, and lets go of those that are too old or too many.
-    pub(crate) fn push(&mut self, entry: Entry) {
+    pub(crate) fn push(&mut self, entry: TopicMessage) {
         let now_ns = entry.at_ns;
         self.bytes += entry.bytes();
         self.entries.push_back(entry);
@@ -44,7 +40,7 @@ impl Ring {
     }
 
     /// Takes all of them: what was written once is not written again.
-    pub(crate) fn take(&mut self) -> VecDeque<Entry> {
+    pub(crate) fn take(&mut self) -> VecDeque<TopicMessage> {
         self.bytes = 0;
         std::mem::take(&mut self.entries)
     }
@@ -55,14 +51,14 @@ mod tests {
     use super::*;
     use flockeye_recording::ContractMessage;
 
-    fn entry(at_s: i64) -> Entry {
+    fn entry(at_s: i64) -> TopicMessage {
         let message = ContractMessage { header: vec![0; 872], ..ContractMessage::default() };
-        Entry { topic: 0, at_ns: at_s * 1_000_000_000, message, pixels: None }
+        TopicMessage { topic: 0, at_ns: at_s * 1_000_000_000, message, pixels: None }
     }
 
     #[test]
     fn it_keeps_the_newest_within_time_and_memory() {
-        let mut ring = Ring::bounded(Duration::from_secs(30), 10_000);
+        let mut ring = Ring::new(Duration::from_secs(30), 10_000);
         let times = |ring: &mut Ring| -> Vec<i64> {
             ring.take().iter().map(|entry| entry.at_ns / 1_000_000_000).collect()
         };

@@ -17,10 +17,10 @@ use signal_hook::consts::{SIGUSR1, SIGXFSZ};
 use crate::about::beginning;
 use crate::arguments::{FramesChoice, RecordArguments};
 use crate::files::Files;
-use crate::inputs::{Inputs, NotCoded};
-use crate::queue::Queue;
-use crate::ring::Ring;
-use crate::writer::Writer;
+use crate::inputs::{NotCoded, drain, open_lanes};
+use crate::queue::WriteQueue;
+use crate::ring::{MOST_BYTES, Ring};
+use crate::writer::DiskWriter;
 
 /// Limit for the bytes that wait for the disk.
 const QUEUE_BYTES: usize = 128_000_000;
@@ -30,9 +30,6 @@ const QUEUE_BYTES: usize = 128_000_000;
 const POLL: Duration = Duration::from_millis(2);
 
 /// Records until the time is over, the pipeline ends or a signal comes.
-///
-/// # Errors
-/// No such pipeline runs, a file cannot be written, or the disk is full.
 pub(crate) fn record(arguments: &RecordArguments, out: &Path) -> anyhow::Result<()> {
     let stopping = signals::stop_flag()?;
     let asked = Arc::new(AtomicBool::new(false));
@@ -43,15 +40,15 @@ pub(crate) fn record(arguments: &RecordArguments, out: &Path) -> anyhow::Result<
     let (ports, resolved) = onlooker::join(&instance)?;
     let mut ports = ports.polled();
     refuse_camera_without_video(arguments.frames, &resolved)?;
-    let mut inputs = Inputs::open(&mut ports, &Budget::of(&resolved), arguments.frames)?;
+    let mut lanes = open_lanes(&mut ports, &Budget::of(&resolved), arguments.frames)?;
     let (about, core) = beginning(&instance, &resolved)?;
     let mut files = Files::new(out, about, arguments.split);
-    let ring = arguments.trigger.map(|trigger| (trigger, Ring::new(arguments.past)));
+    let ring = arguments.trigger.map(|trigger| (trigger, Ring::new(arguments.past, MOST_BYTES)));
     if ring.is_none() {
         files.begin()?;
     }
-    let queue = Queue::new(QUEUE_BYTES, TOPICS.len());
-    let writer = Writer::new(queue.clone(), core, files, ring);
+    let queue = WriteQueue::new(QUEUE_BYTES, TOPICS.len());
+    let writer = DiskWriter::new(queue.clone(), core, files, ring);
     let thread = std::thread::Builder::new()
         .name("writer".to_owned())
         .spawn(move || writer.run())
@@ -60,7 +57,7 @@ pub(crate) fn record(arguments: &RecordArguments, out: &Path) -> anyhow::Result<
         .context("the instance's folder")?;
     let start = Instant::now();
     let received = ports.attend(|| {
-        inputs.drain(&queue)?;
+        drain(&mut lanes, &queue)?;
         if asked.swap(false, Ordering::Relaxed) {
             queue.ask();
         }
@@ -72,7 +69,7 @@ pub(crate) fn record(arguments: &RecordArguments, out: &Path) -> anyhow::Result<
     });
     // Some messages came between the last look and the end.
     let received = received.and_then(|()| {
-        while !inputs.drain(&queue)? && !queue.is_closed() {
+        while !drain(&mut lanes, &queue)? && !queue.is_closed() {
             std::thread::sleep(POLL);
         }
         Ok(())

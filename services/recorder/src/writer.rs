@@ -12,11 +12,10 @@ use rustix::thread::gettid;
 
 use crate::arguments::Trigger;
 use crate::core::Core;
-use crate::entry::Entry;
-use crate::events::{begins_video, loses_somebody};
 use crate::files::Files;
 use crate::loss_reports::LossReports;
-use crate::queue::{Queue, Taken};
+use crate::message::TopicMessage;
+use crate::queue::{Taken, WriteQueue};
 use crate::ring::Ring;
 
 /// Time after which what was received is on the disk, at the latest.
@@ -24,9 +23,8 @@ const FLUSH: Duration = Duration::from_secs(1);
 /// Priority of the thread that writes: it gives way to the stages.
 const WRITER_NICE: i32 = 10;
 
-/// The thread that writes.
-pub(crate) struct Writer {
-    queue: Queue,
+pub(crate) struct DiskWriter {
+    queue: WriteQueue,
     core: Core,
     files: Files,
     ring: Option<(Trigger, Ring)>,
@@ -34,10 +32,10 @@ pub(crate) struct Writer {
     left_out: Throttle,
 }
 
-impl Writer {
+impl DiskWriter {
     /// Writes what comes in `queue` to `files`; with a ring, only what led to something.
     pub(crate) fn new(
-        queue: Queue,
+        queue: WriteQueue,
         core: Core,
         files: Files,
         ring: Option<(Trigger, Ring)>,
@@ -63,7 +61,7 @@ impl Writer {
             }
             Err(error) => return Err(error),
         }
-        let (files, messages, bytes) = self.files.written();
+        let Files { count: files, messages, bytes, .. } = self.files;
         let megabytes = bytes as f64 / 1e6;
         let lacking = self.queue.losses().iter().filter(|loss| loss.lost() > 0).count();
         let lack = match lacking {
@@ -77,7 +75,7 @@ impl Writer {
         let mut flush_at = Instant::now() + FLUSH;
         loop {
             let is_asked = match self.queue.take(flush_at) {
-                Taken::Entry(entry) => self.on(entry)?,
+                Taken::Message(entry) => self.on(entry)?,
                 Taken::Nothing => false,
                 Taken::End => break,
             };
@@ -96,17 +94,17 @@ impl Writer {
     }
 
     /// Takes a message. Returns whether the ring is to be written because of it.
-    fn on(&mut self, entry: Entry) -> anyhow::Result<bool> {
+    fn on(&mut self, entry: TopicMessage) -> anyhow::Result<bool> {
         let Some((trigger, ring)) = &mut self.ring else {
             self.write(&entry)?;
             return Ok(false);
         };
-        let is_asked = *trigger == Trigger::Lost && loses_somebody(&entry);
+        let is_asked = *trigger == Trigger::Lost && entry.loses_somebody();
         ring.push(entry);
         Ok(is_asked)
     }
 
-    fn write(&mut self, entry: &Entry) -> anyhow::Result<()> {
+    fn write(&mut self, entry: &TopicMessage) -> anyhow::Result<()> {
         let outputs = match self.core.on(entry) {
             Ok(outputs) => outputs,
             Err(error) => {
@@ -147,7 +145,7 @@ impl Writer {
         let mut has_key = false;
         for entry in &entries {
             if TOPICS[entry.topic].id == TopicId::Packets {
-                has_key |= begins_video(entry);
+                has_key |= entry.begins_video();
                 if !has_key {
                     continue;
                 }
@@ -155,7 +153,7 @@ impl Writer {
             self.write(entry)?;
         }
         // Each file counts all losses.
-        self.losses.begin_file();
+        self.losses.reported.clear();
         self.write_losses()?;
         self.files.end()?;
         tracing::info!("what came before is in {}", path.display());

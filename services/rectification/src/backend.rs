@@ -8,34 +8,12 @@ use crate::cpu::CpuRectifier;
 use crate::gpu::{FoundAdapter, GpuRectifier};
 use crate::rectifier::{Rectifier, RectifyError};
 
-/// Which back end a user asks for (`rectification.backend` in pipeline.yaml).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub(crate) enum BackendChoice {
-    /// A graphics processor if there is a real one, the processor otherwise.
-    #[default]
-    Auto,
-    /// The processor.
-    Cpu,
-    /// A graphics processor, be it a software one.
-    Gpu,
-}
-
-impl From<Backend> for BackendChoice {
-    fn from(asked: Backend) -> Self {
-        match asked {
-            Backend::Auto => Self::Auto,
-            Backend::Cpu => Self::Cpu,
-            Backend::Gpu => Self::Gpu,
-        }
-    }
-}
-
 /// Findings about this machine's graphics processors, before a flight.
-pub(crate) fn examine(choice: BackendChoice) -> Vec<Finding> {
+pub(crate) fn examine(choice: Backend) -> Vec<Finding> {
     const TOPIC: &str = "graphics";
     const CURE: &str = "install the driver (mesa-vulkan-drivers for Intel and AMD), and let the user be in the \
                         groups video and render";
-    let is_asked_for = choice == BackendChoice::Gpu;
+    let is_asked_for = choice == Backend::Gpu;
     let without = |what: String| match is_asked_for {
         true => Finding::problem(TOPIC, what, CURE),
         false => {
@@ -43,7 +21,7 @@ pub(crate) fn examine(choice: BackendChoice) -> Vec<Finding> {
         }
     };
     vec![match FoundAdapter::best() {
-        _ if choice == BackendChoice::Cpu => {
+        _ if choice == Backend::Cpu => {
             Finding::fine(TOPIC, "views are cut by the processor, as configured")
         }
         Err(error) => without(error.to_string()),
@@ -71,7 +49,7 @@ pub(crate) fn examine(choice: BackendChoice) -> Vec<Finding> {
 /// # Errors
 /// `Gpu` was asked for and there is none that works, or it has no room for a frame.
 pub(crate) fn choose_backend(
-    choice: BackendChoice,
+    choice: Backend,
     threads: usize,
     camera: &Camera,
 ) -> Result<(Box<dyn Rectifier>, String), RectifyError> {
@@ -84,11 +62,9 @@ pub(crate) fn choose_backend(
         Ok(Box::new(gpu))
     };
     match choice {
-        BackendChoice::Cpu => Ok(cpu("the configuration asks for it".into())),
-        BackendChoice::Gpu => {
-            Ok((gpu(FoundAdapter::best()?)?, "the configuration asks for it".into()))
-        }
-        BackendChoice::Auto => Ok(match FoundAdapter::best() {
+        Backend::Cpu => Ok(cpu("the configuration asks for it".into())),
+        Backend::Gpu => Ok((gpu(FoundAdapter::best()?)?, "the configuration asks for it".into())),
+        Backend::Auto => Ok(match FoundAdapter::best() {
             Err(_) => cpu("there is no Vulkan device".into()),
             Ok(found) if found.is_software() => {
                 let name = found.name();
@@ -111,7 +87,7 @@ mod tests {
 
     #[test]
     fn who_asks_for_the_processor_gets_it() {
-        let (backend, why) = choose_backend(BackendChoice::Cpu, 2, &CAMERA).unwrap();
+        let (backend, why) = choose_backend(Backend::Cpu, 2, &CAMERA).unwrap();
         assert!(backend.name().starts_with("cpu"), "{}", backend.name());
         assert!(why.contains("asks"), "{why}");
     }
@@ -121,14 +97,14 @@ mod tests {
         use flockeye_runtime::findings::Gravity;
         let has_any = FoundAdapter::best().is_ok();
         let gravity = |choice| examine(choice)[0].gravity;
-        assert_eq!(gravity(BackendChoice::Cpu), Gravity::Fine);
-        assert!(gravity(BackendChoice::Auto) <= Gravity::Note);
-        assert_eq!(gravity(BackendChoice::Gpu) == Gravity::Problem, !has_any);
+        assert_eq!(gravity(Backend::Cpu), Gravity::Fine);
+        assert!(gravity(Backend::Auto) <= Gravity::Note);
+        assert_eq!(gravity(Backend::Gpu) == Gravity::Problem, !has_any);
     }
 
     #[test]
     fn auto_never_takes_a_software_device() {
-        let (backend, why) = choose_backend(BackendChoice::Auto, 1, &CAMERA).unwrap();
+        let (backend, why) = choose_backend(Backend::Auto, 1, &CAMERA).unwrap();
         let has_real = FoundAdapter::best().is_ok_and(|found| !found.is_software());
         // A real device may fail to open; a software one must not be taken.
         assert!(has_real || backend.name().starts_with("cpu"), "{}: {why}", backend.name());

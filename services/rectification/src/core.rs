@@ -15,14 +15,15 @@ use flockeye_contract::{
     StopRule, ViewHeader,
 };
 use flockeye_geometry::camera::Camera;
+use flockeye_geometry::search::MAX_FRAMES_WITHOUT_TILE;
 use flockeye_geometry::view::View;
 use flockeye_imaging::proposals::Proposal;
 
-use self::active_frame::{ActiveFrame, Recipient};
+use self::active_frame::ActiveFrame;
 pub use self::events::{Action, CutOrder, Event};
 use crate::dispatch::{Acknowledgement, Dispatcher};
 use crate::frame_clock::FrameClock;
-use crate::job::{Job, NextView, sweep};
+use crate::job::{FrameJob, NextView, sweep};
 use crate::proposals::ProposalChooser;
 
 /// Age from which a plan is not followed, nanoseconds: fusion has died since.
@@ -37,7 +38,6 @@ type ViewKey = (FrameOrder, u32);
 /// How a core works.
 #[derive(Debug, Clone)]
 pub(crate) struct Options {
-    /// How frames flow.
     pub(crate) flow: Flow,
     /// How often this stage was replaced.
     pub(crate) generation: u32,
@@ -47,7 +47,6 @@ pub(crate) struct Options {
     pub(crate) window: usize,
     /// After how long a worker's views are given to others.
     pub(crate) overdue: Duration,
-    /// The camera.
     pub(crate) camera: Camera,
 }
 
@@ -64,8 +63,11 @@ pub struct Core<F> {
     swept: usize,
     /// Tiles that were cut of the frame that ended last.
     searched: usize,
+    /// Frames in a row of which no tile was cut.
+    frames_without_tile: u64,
     plan: Option<(PlanHeader, Vec<PlannedView>)>,
-    waiting: Option<(FrameHeader, F)>,
+    /// The frame that waits. A lossless run takes none before it is taken up.
+    pub(crate) waiting: Option<(FrameHeader, F)>,
     active: Vec<ActiveFrame<F>>,
     /// The view, and its worker, that is cut once its place was found.
     next_cut: Option<(ViewKey, usize)>,
@@ -74,9 +76,6 @@ pub struct Core<F> {
 
 impl<F> Core<F> {
     /// The core that a configuration asks for, at `now_ns`.
-    ///
-    /// # Errors
-    /// A mask that cannot be read.
     pub fn of(resolved: &Resolved, generation: u32, now_ns: i64) -> anyhow::Result<Self> {
         let pipeline = &resolved.pipeline;
         let mask = resolved.mask()?;
@@ -111,22 +110,13 @@ impl<F> Core<F> {
             tiles,
             swept: 0,
             searched: 0,
+            frames_without_tile: 0,
             plan: None,
             waiting: None,
             active: Vec::new(),
             next_cut: None,
             last_frame_ns: now_ns,
         }
-    }
-
-    /// Whether a frame waits. A lossless run takes none before it is taken up.
-    pub(crate) fn has_waiting(&self) -> bool {
-        self.waiting.is_some()
-    }
-
-    /// The frame that waits.
-    pub(crate) fn waiting(&self) -> Option<&(FrameHeader, F)> {
-        self.waiting.as_ref()
     }
 
     /// Views in flight.
@@ -143,10 +133,6 @@ impl<F> Core<F> {
     pub fn frame(&self, frame: FrameOrder) -> Option<(&FrameHeader, &F)> {
         let active = self.active.iter().find(|active| active.order() == frame)?;
         Some((&active.job.frame, &active.pixels))
-    }
-
-    fn active_mut(&mut self, frame: FrameOrder) -> Option<&mut ActiveFrame<F>> {
-        self.active.iter_mut().find(|active| active.order() == frame)
     }
 
     /// For how long no frame has come, nanoseconds.
@@ -173,8 +159,8 @@ impl<F> Core<F> {
             Event::Published { header, took_ns } => self.on_published(&header, took_ns, now_ns),
             Event::Failed(frame) => {
                 self.next_cut = None;
-                if let Some(active) = self.active_mut(frame) {
-                    active.job.fail();
+                if let Some(active) = active_in(&mut self.active, frame) {
+                    active.job.has_failed = true;
                 }
             }
         }
@@ -186,7 +172,7 @@ impl<F> Core<F> {
         let (worker, attempt) = (header.worker as usize, header.attempt);
         let answer = self.dispatcher.acknowledged(key, worker, attempt, time(now_ns));
         if answer == Acknowledgement::First
-            && let Some(ActiveFrame { job, .. }) = self.active_mut(key.0)
+            && let Some(ActiveFrame { job, .. }) = active_in(&mut self.active, key.0)
         {
             job.note_answer(header.view_index, header.hits > 0);
             if job.is_tile(header.view_index) {
@@ -197,8 +183,7 @@ impl<F> Core<F> {
 
     /// Gives the frame's proposals the places that were found.
     fn on_looked(&mut self, frame: FrameOrder, found: Vec<Proposal>, took_ns: i64) {
-        let active = self.active.iter_mut().find(|active| active.order() == frame);
-        let Some(active) = active else { return };
+        let Some(active) = active_in(&mut self.active, frame) else { return };
         let views = active.job.proposal_indices().len();
         active.job.place_proposals(self.proposals.choose(found, views));
         self.clock.note_look(took_ns);
@@ -207,8 +192,7 @@ impl<F> Core<F> {
     fn on_published(&mut self, header: &ViewHeader, took_ns: i64, now_ns: i64) {
         let (frame, index) = (header.stamp.order(), header.view_index);
         self.dispatcher.issued((frame, index), header.worker as usize, time(now_ns));
-        let active = self.active.iter_mut().find(|active| active.order() == frame);
-        let Some(ActiveFrame { job, .. }) = active else { return };
+        let Some(ActiveFrame { job, .. }) = active_in(&mut self.active, frame) else { return };
         if let Some((_, planned)) = job.view(index) {
             self.clock.note_cut(&planned, took_ns);
         }
@@ -226,7 +210,7 @@ impl<F> Core<F> {
             return Action::Cut(order);
         }
         for (frame, index) in self.dispatcher.overdue(time(now_ns), self.options.overdue) {
-            match self.active_mut(frame) {
+            match active_in(&mut self.active, frame) {
                 Some(active) => active.job.take_back(index),
                 // The frame has made room for a newer one: nobody needs its view any more.
                 None => self.dispatcher.retain(|(other, _)| other != frame),
@@ -269,7 +253,7 @@ impl<F> Core<F> {
         Some(Action::TakeUp { frame: header.stamp.order(), likely })
     }
 
-    fn job_for(&self, header: FrameHeader, now_ns: i64) -> Job {
+    fn job_for(&self, header: FrameHeader, now_ns: i64) -> FrameJob {
         let is_live = |plan: &PlanHeader| {
             self.options.flow == Flow::Lossless || now_ns - plan.made_ns < STALE_PLAN_NS
         };
@@ -280,10 +264,10 @@ impl<F> Core<F> {
                 true => plan.view_budget as usize,
                 false => usize::MAX,
             };
-            return Job::new(header, plan.plan_id, views.clone(), rule, budget, now_ns);
+            return FrameJob::new(header, plan.plan_id, views.clone(), rule, budget, now_ns);
         }
         let views = sweep(&self.tiles, self.swept);
-        Job::new(header, 0, views, StopRule::Deadline, usize::MAX, now_ns)
+        FrameJob::new(header, 0, views, StopRule::Deadline, usize::MAX, now_ns)
     }
 
     /// The next view to be cut, or a frame's end. `None` if there is nothing to do before an event.
@@ -291,8 +275,14 @@ impl<F> Core<F> {
         for position in 0..self.active.len() {
             let job = &self.active[position].job;
             let is_newer_waiting = self.waiting.is_some();
-            let why_over =
-                self.clock.why_over(job.upcoming(), job.searched(), is_newer_waiting, now_ns);
+            let next = job.upcoming();
+            // A frame that has come to no tile yet, as those before it, has time for one, and for
+            // nothing else: the plan has a tile before its proposals then.
+            let is_tile_due = job.searched() == 0
+                && self.frames_without_tile >= MAX_FRAMES_WITHOUT_TILE
+                && next.is_some_and(|next| next.view.is_tile());
+            let why_over = self.clock.why_over(next, is_newer_waiting, now_ns);
+            let why_over = why_over.filter(|_| !is_tile_due);
             match job.next(why_over) {
                 NextView::Wait => {}
                 NextView::End(reason) => {
@@ -333,18 +323,18 @@ impl<F> Core<F> {
 
     /// The order to cut the first of a frame's proposals, whose places were found.
     fn cut_placed(&mut self, key: ViewKey, worker: usize) -> Option<CutOrder> {
-        let camera = self.options.camera;
-        let active = self.active_mut(key.0)?;
-        let ahead = active.announce(active.job.proposal_indices(), &camera);
+        let active = active_in(&mut self.active, key.0)?;
+        let ahead = active.announce(active.job.proposal_indices(), &self.options.camera);
         let order = self.cut_order(key, worker)?;
         Some(CutOrder { ahead, ..order })
     }
 
-    fn cut_order(&mut self, key: ViewKey, worker: usize) -> Option<CutOrder> {
-        let attempt = self.dispatcher.next_attempt(key);
+    fn cut_order(&mut self, (frame, index): ViewKey, worker: usize) -> Option<CutOrder> {
+        let attempt = self.dispatcher.next_attempt((frame, index));
         let Options { generation, camera, .. } = self.options;
-        let recipient = Recipient { worker, attempt, generation };
-        self.active_mut(key.0)?.cut_order(key.1, recipient, &camera)
+        let order = active_in(&mut self.active, frame)?.cut_order(index, &camera)?;
+        let header = ViewHeader { worker: worker as u32, attempt, generation, ..order.header };
+        Some(CutOrder { header, ..order })
     }
 
     /// Ends a frame. `None` if its end is out already, and a view of it could not be cut again.
@@ -358,7 +348,10 @@ impl<F> Core<F> {
             return None;
         }
         self.searched = job.searched();
-        self.clock.end_frame(self.searched);
+        self.frames_without_tile = match self.searched {
+            0 => self.frames_without_tile.saturating_add(1),
+            _ => 0,
+        };
         if job.plan_id == 0 {
             self.swept = (self.swept + job.tally().0 as usize) % self.tiles.len().max(1);
         }
@@ -374,7 +367,12 @@ impl<F> Core<F> {
     }
 }
 
-fn ended(job: &mut Job, reason: StopReason, generation: u32, now_ns: i64) -> FrameEnd {
+/// One of the frames in work.
+fn active_in<F>(active: &mut [ActiveFrame<F>], frame: FrameOrder) -> Option<&mut ActiveFrame<F>> {
+    active.iter_mut().find(|active| active.order() == frame)
+}
+
+fn ended(job: &mut FrameJob, reason: StopReason, generation: u32, now_ns: i64) -> FrameEnd {
     let (views_issued, views_abandoned) = job.tally();
     job.note_end(reason);
     FrameEnd {

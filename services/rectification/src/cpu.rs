@@ -1,8 +1,9 @@
 //! Views cut by the processor.
 
+use flockeye_contract::FrameOrder;
 use flockeye_imaging::sphere::{Cut, SphereImage, rectify_all};
 
-use crate::rectifier::{FrameKey, Rectifier, RectifyError};
+use crate::rectifier::{Rectifier, RectifyError};
 
 /// Cuts views with the kernel of [`flockeye_imaging::sphere`], straight from the frame, when they
 /// are asked for.
@@ -27,17 +28,9 @@ impl Rectifier for CpuRectifier {
         }
     }
 
-    fn prepare(&mut self, _: FrameKey, _: &SphereImage<'_>) -> Result<(), RectifyError> {
-        Ok(())
-    }
-
-    fn order(&mut self, _: FrameKey, _: &SphereImage<'_>, _: &[Cut]) -> Result<(), RectifyError> {
-        Ok(())
-    }
-
     fn cut(
         &mut self,
-        _: FrameKey,
+        _: FrameOrder,
         sphere: &SphereImage<'_>,
         cut: &Cut,
         out: &mut [u8],

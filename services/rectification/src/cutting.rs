@@ -1,27 +1,60 @@
-//! Views cut from frames by a back end, and places searched in them.
+//! Views cut from frames by a back end, or by the processor once that is lost, and places searched
+//! in them.
 
 use flockeye_contract::FrameHeader;
 use flockeye_convert::projection_of;
 use flockeye_geometry::camera::Camera;
 use flockeye_imaging::proposals::{Proposal, Proposer};
 use flockeye_imaging::sphere::{Cut, SphereImage};
+use flockeye_runtime::health::SharedCounters;
 
 use crate::core::CutOrder;
+use crate::cpu::CpuRectifier;
 use crate::proposals::ProposalSearch;
-use crate::rectifier::{FrameKey, Rectifier as _};
-use crate::standby::Standby;
+use crate::rectifier::{Rectifier, RectifyError};
 
 /// Cuts views of one camera's frames.
+///
+/// When the back end is lost, be it in the middle of a frame, the processor does what it could not,
+/// and all that comes after; one warning reports it.
 pub struct Cutter {
-    rectifier: Standby,
+    pub(crate) active: Box<dyn Rectifier>,
+    threads: usize,
+    counters: SharedCounters,
     proposer: Proposer,
     camera: Camera,
 }
 
 impl Cutter {
-    /// Cuts with `rectifier`.
-    pub fn new(rectifier: Standby, camera: Camera) -> Self {
-        Self { rectifier, proposer: Proposer::default(), camera }
+    /// Cuts with `active`, or else with up to `threads` threads of the processor. The health
+    /// reports of `counters` name whoever works.
+    pub fn new(
+        active: Box<dyn Rectifier>,
+        threads: usize,
+        counters: SharedCounters,
+        camera: Camera,
+    ) -> Self {
+        counters.set_detail(active.name());
+        Self { active, threads, counters, proposer: Proposer::default(), camera }
+    }
+
+    /// Has the back end do some work, or the processor if the back end is lost.
+    pub(crate) fn attempt(
+        &mut self,
+        mut work: impl FnMut(&mut dyn Rectifier) -> Result<(), RectifyError>,
+    ) -> Result<(), RectifyError> {
+        match work(self.active.as_mut()) {
+            Err(error) if error.is_lost() => {
+                tracing::warn!(
+                    "{error}; the processor takes over. Cure: look into the kernel's log for what the \
+                     driver says; the device is tried again when this stage is started again"
+                );
+                self.active = Box::new(CpuRectifier::new(self.threads));
+                self.counters.set_detail(self.active.name());
+                work(self.active.as_mut())
+            }
+            other => other,
+        }
     }
 
     /// Lets a frame that waits be uploaded while another is being cut.
@@ -30,13 +63,10 @@ impl Cutter {
     /// A frame that is not the configured camera's, or that the back end has no room for.
     pub fn prepare(&mut self, header: &FrameHeader, pixels: &[u8]) -> anyhow::Result<()> {
         let sphere = self.sphere_of(header, pixels)?;
-        Ok(self.rectifier.prepare(key(header), &sphere)?)
+        Ok(self.attempt(|active| active.prepare(header.stamp.order(), &sphere))?)
     }
 
     /// Lets the back end make cuts of a frame ahead.
-    ///
-    /// # Errors
-    /// As [`Cutter::prepare`], or a view that the back end has no room for.
     pub fn announce(
         &mut self,
         header: &FrameHeader,
@@ -44,13 +74,10 @@ impl Cutter {
         cuts: &[Cut],
     ) -> anyhow::Result<()> {
         let sphere = self.sphere_of(header, pixels)?;
-        Ok(self.rectifier.order(key(header), &sphere, cuts)?)
+        Ok(self.attempt(|active| active.order(header.stamp.order(), &sphere, cuts))?)
     }
 
     /// Searches a frame for places that look like a body.
-    ///
-    /// # Errors
-    /// As [`Cutter::prepare`].
     pub fn look(
         &mut self,
         header: &FrameHeader,
@@ -62,9 +89,6 @@ impl Cutter {
     }
 
     /// Cuts a view into `out`, rows of `size_px` bytes without gaps.
-    ///
-    /// # Errors
-    /// As [`Cutter::announce`]; a view that shows nothing.
     pub fn cut(
         &mut self,
         header: &FrameHeader,
@@ -72,11 +96,11 @@ impl Cutter {
         order: &CutOrder,
         out: &mut [u8],
     ) -> anyhow::Result<()> {
-        let sphere = self.sphere_of(header, pixels)?;
+        let (frame, sphere) = (header.stamp.order(), self.sphere_of(header, pixels)?);
         if !order.ahead.is_empty() {
-            self.rectifier.order(key(header), &sphere, &order.ahead)?;
+            self.attempt(|active| active.order(frame, &sphere, &order.ahead))?;
         }
-        Ok(self.rectifier.cut(key(header), &sphere, &order.cut, out)?)
+        Ok(self.attempt(|active| active.cut(frame, &sphere, &order.cut, out))?)
     }
 
     /// The frame's pixels as the configured camera sees them.
@@ -103,7 +127,71 @@ impl Cutter {
     }
 }
 
-fn key(header: &FrameHeader) -> FrameKey {
-    let (source_generation, epoch, sequence) = header.stamp.order();
-    FrameKey { source_generation, epoch, sequence }
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, clippy::expect_used)]
+    use super::*;
+    use flockeye_contract::FrameOrder;
+    use flockeye_geometry::view::View;
+    use nalgebra::Vector3;
+
+    const CAMERA: Camera = Camera::equirectangular(64, 32);
+
+    fn cutter(active: Box<dyn Rectifier>) -> Cutter {
+        Cutter::new(active, 1, SharedCounters::default(), CAMERA)
+    }
+
+    /// A device that is lost after it has cut so many views.
+    struct Mortal(usize);
+
+    impl Rectifier for Mortal {
+        fn name(&self) -> String {
+            "mortal".into()
+        }
+
+        fn cut(
+            &mut self,
+            _: FrameOrder,
+            _: &SphereImage<'_>,
+            _: &Cut,
+            out: &mut [u8],
+        ) -> Result<(), RectifyError> {
+            let lost =
+                || RectifyError::Lost { adapter: "mortal".into(), reason: "it is gone".into() };
+            self.0 = self.0.checked_sub(1).ok_or_else(lost)?;
+            out.fill(1);
+            Ok(())
+        }
+    }
+
+    #[test]
+    fn the_processor_goes_on_in_the_middle_of_a_frame() {
+        let mut cutter = cutter(Box::new(Mortal(2)));
+        let pixels = [70; 64 * 32];
+        let sphere = SphereImage::new(&pixels, 64, CAMERA).unwrap();
+        let cut = Cut::bilinear(View::looking_at(&Vector3::x_axis(), 1.0, 4));
+        let mut greys = Vec::new();
+        for _ in 0..4 {
+            let mut out = [0; 16];
+            cutter
+                .attempt(|active| active.cut(FrameOrder::default(), &sphere, &cut, &mut out))
+                .unwrap();
+            greys.push(out[0]);
+        }
+        assert_eq!(greys, [1, 1, 70, 70]);
+        assert!(cutter.active.name().starts_with("cpu: 1 thread"));
+    }
+
+    #[test]
+    fn what_is_no_loss_is_passed_on() {
+        let mut cutter = cutter(Box::new(CpuRectifier::new(1)));
+        let pixels = [70; 64 * 32];
+        let sphere = SphereImage::new(&pixels, 64, CAMERA).unwrap();
+        let cut = Cut::bilinear(View::looking_at(&Vector3::x_axis(), 1.0, 4));
+        let work = |active: &mut dyn Rectifier| {
+            active.cut(FrameOrder::default(), &sphere, &cut, &mut [0; 3])
+        };
+        let error = cutter.attempt(work).unwrap_err();
+        assert!(matches!(error, RectifyError::Sphere(_)), "{error}");
+    }
 }

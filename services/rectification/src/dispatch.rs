@@ -14,7 +14,7 @@ use std::time::Duration;
 pub(crate) struct Dispatcher<K> {
     window: usize,
     probe_after: Duration,
-    workers: Vec<Worker>,
+    workers: Vec<WorkerRecord>,
     views: BTreeMap<K, IssuedView>,
 }
 
@@ -28,7 +28,7 @@ pub(crate) enum Acknowledgement {
 }
 
 #[derive(Debug, Clone, Copy, Default)]
-struct Worker {
+struct WorkerRecord {
     stalled_since: Option<Duration>,
     /// When it last answered.
     answered: Option<Duration>,
@@ -41,14 +41,14 @@ struct Worker {
 #[derive(Debug, Clone, Default)]
 struct IssuedView {
     /// Attempts not yet answered nor taken back.
-    in_flight: Vec<Attempt>,
+    in_flight: Vec<ViewAttempt>,
     /// The number of the next attempt.
     attempts: u32,
     is_done: bool,
 }
 
 #[derive(Debug, Clone, Copy)]
-struct Attempt {
+struct ViewAttempt {
     number: u32,
     worker: usize,
     issued: Duration,
@@ -61,7 +61,7 @@ impl<K: Ord + Copy> Dispatcher<K> {
         Self {
             window: window_per_worker,
             probe_after,
-            workers: vec![Worker::default(); workers],
+            workers: vec![WorkerRecord::default(); workers],
             views: BTreeMap::new(),
         }
     }
@@ -95,7 +95,7 @@ impl<K: Ord + Copy> Dispatcher<K> {
         let issued = self.views.entry(view).or_default();
         let number = issued.attempts;
         issued.attempts += 1;
-        issued.in_flight.push(Attempt { number, worker, issued: now });
+        issued.in_flight.push(ViewAttempt { number, worker, issued: now });
         number
     }
 
@@ -109,7 +109,7 @@ impl<K: Ord + Copy> Dispatcher<K> {
         now: Duration,
     ) -> Acknowledgement {
         if let Some(worker) = self.workers.get_mut(worker) {
-            *worker = Worker { answered: Some(now), ..Worker::default() };
+            *worker = WorkerRecord { answered: Some(now), ..WorkerRecord::default() };
         }
         let Some(issued) = self.views.get_mut(&view) else { return Acknowledgement::Repeated };
         if attempt >= issued.attempts {

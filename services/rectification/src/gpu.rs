@@ -5,17 +5,17 @@ mod adapter;
 mod batch;
 mod device;
 mod layout;
-mod memory;
 mod shader;
 mod slot;
 
+use flockeye_contract::FrameOrder;
 use flockeye_geometry::camera::Camera;
 use flockeye_imaging::sphere::{Cut, SphereImage, check_outputs};
 
 pub use self::adapter::FoundAdapter;
 use self::device::Device;
-use self::slot::Slot;
-use crate::rectifier::{FrameKey, Rectifier, RectifyError};
+use self::slot::FrameSlot;
+use crate::rectifier::{Rectifier, RectifyError};
 
 /// Frames on the device at once: one whose last views may have to be cut again, the one that is
 /// being cut, and the next.
@@ -27,16 +27,13 @@ const FRAMES: usize = 3;
 pub struct GpuRectifier {
     device: Device,
     description: String,
-    slots: [Slot; FRAMES],
+    slots: [FrameSlot; FRAMES],
     /// Counts calls.
     now: u64,
 }
 
 impl GpuRectifier {
     /// Opens the device and builds the shader.
-    ///
-    /// # Errors
-    /// [`RectifyError::Device`] with the driver's words.
     pub fn open(found: FoundAdapter) -> Result<Self, RectifyError> {
         let device = Device::open(&found, None)?;
         Ok(Self::on(device, &found))
@@ -45,16 +42,13 @@ impl GpuRectifier {
     fn on(device: Device, found: &FoundAdapter) -> Self {
         Self {
             description: found.description(),
-            slots: std::array::from_fn(|_| Slot::new(&device)),
+            slots: std::array::from_fn(|_| FrameSlot::new(&device)),
             device,
             now: 0,
         }
     }
     /// Refuses a camera whose frames the device has no room for.
-    ///
-    /// # Errors
-    /// [`RectifyError::TooLarge`].
-    pub fn check_frame(&self, camera: &Camera) -> Result<(), RectifyError> {
+    pub(crate) fn check_frame(&self, camera: &Camera) -> Result<(), RectifyError> {
         let bytes = u64::from(camera.width()) * u64::from(camera.height());
         self.device.check_fits(slot::FRAME, bytes)
     }
@@ -62,7 +56,7 @@ impl GpuRectifier {
     /// The slot of a frame, which is uploaded if it is not there.
     fn slot_of(
         &mut self,
-        frame: FrameKey,
+        frame: FrameOrder,
         sphere: &SphereImage<'_>,
     ) -> Result<usize, RectifyError> {
         self.device.check_alive()?;
@@ -82,7 +76,7 @@ impl GpuRectifier {
     /// The slot for another frame: of one that was prepared and never cut, which a newer one has
     /// overtaken, or else the one that was used longest ago.
     fn replaceable(&self) -> usize {
-        let order = |slot: &Slot| (!slot.is_untouched(), slot.used);
+        let order = |slot: &FrameSlot| (!slot.is_untouched(), slot.used);
         (0..FRAMES).min_by_key(|&index| order(&self.slots[index])).unwrap_or(0)
     }
 }
@@ -92,13 +86,13 @@ impl Rectifier for GpuRectifier {
         format!("gpu: {}", self.description)
     }
 
-    fn prepare(&mut self, frame: FrameKey, sphere: &SphereImage<'_>) -> Result<(), RectifyError> {
+    fn prepare(&mut self, frame: FrameOrder, sphere: &SphereImage<'_>) -> Result<(), RectifyError> {
         self.slot_of(frame, sphere).map(|_| ())
     }
 
     fn order(
         &mut self,
-        frame: FrameKey,
+        frame: FrameOrder,
         sphere: &SphereImage<'_>,
         cuts: &[Cut],
     ) -> Result<(), RectifyError> {
@@ -109,7 +103,7 @@ impl Rectifier for GpuRectifier {
 
     fn cut(
         &mut self,
-        frame: FrameKey,
+        frame: FrameOrder,
         sphere: &SphereImage<'_>,
         cut: &Cut,
         out: &mut [u8],

@@ -7,19 +7,14 @@ use flockeye_runtime::ports::{Message, PortError, Ports, Subscriber};
 
 use crate::core::{Core, Event};
 
-/// The ports that rectification reads.
-pub(crate) struct Inbox {
+pub(crate) struct InputPorts {
     frames: Subscriber<Frames>,
     plans: Subscriber<Plans>,
     detections: Subscriber<Detections>,
     flow: Flow,
 }
 
-impl Inbox {
-    /// Opens the ports.
-    ///
-    /// # Errors
-    /// A port that cannot be opened.
+impl InputPorts {
     pub(crate) fn open(ports: &mut Ports, flow: Flow) -> Result<Self, PortError> {
         Ok(Self {
             frames: ports.subscriber()?,
@@ -31,12 +26,9 @@ impl Inbox {
 
     /// Gives the core all that has come, and returns how many frames were dropped. A lossless
     /// source sends a frame after it has the plan for it, so frames come first.
-    ///
-    /// # Errors
-    /// A port that fails.
     pub(crate) fn receive(&mut self, core: &mut Core<Message<Frames>>) -> Result<u64, PortError> {
         let mut dropped = 0;
-        while (self.flow == Flow::Latest || !core.has_waiting())
+        while (self.flow == Flow::Latest || core.waiting.is_none())
             && let Some(frame) = self.frames.receive()?
         {
             let is_dropped = core.on(Event::Frame(frame.header, frame), clock::monotonic_ns());

@@ -8,8 +8,7 @@ use flockeye_geometry::view::View;
 
 /// A frame's views, and how far they are cut.
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) struct Job {
-    /// The frame.
+pub(crate) struct FrameJob {
     pub(crate) frame: FrameHeader,
     /// The plan that is followed; 0: this stage's own sweep.
     pub(crate) plan_id: u64,
@@ -22,17 +21,15 @@ pub(crate) struct Job {
     unanswered: BTreeSet<u32>,
     recut: BTreeSet<u32>,
     has_hit: bool,
-    /// Whether a view of it could not be cut.
-    has_failed: bool,
+    /// Whether a view of it could not be cut: no other is tried.
+    pub(crate) has_failed: bool,
     ended: Option<StopReason>,
     /// Whether rectification has found the places of its proposals.
     are_proposals_placed: bool,
 }
 
-/// A view that comes next.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Upcoming<'v> {
-    /// As planned.
     pub(crate) view: &'v PlannedView,
     /// Whether the picture must be looked at for places before it is cut.
     pub(crate) needs_look: bool,
@@ -44,7 +41,6 @@ const SPARE_TILES: usize = 2;
 /// What comes next for a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum NextView {
-    /// Cut a view.
     Cut {
         /// Its index in the plan.
         index: u32,
@@ -57,7 +53,7 @@ pub(crate) enum NextView {
     Wait,
 }
 
-impl Job {
+impl FrameJob {
     /// The plan's `views` of a frame, under a rule; `budget` limits how many are cut in a lossless
     /// run.
     pub(crate) fn new(
@@ -162,7 +158,6 @@ impl Job {
         !self.are_proposals_placed
     }
 
-    /// Indices of the plan's proposals.
     pub(crate) fn proposal_indices(&self) -> Vec<u32> {
         let views = (0..).zip(&self.views);
         views.filter(|(_, view)| view.is_proposal()).map(|(index, _)| index).collect()
@@ -192,7 +187,6 @@ impl Job {
         self.views.get(index as usize).is_some_and(PlannedView::is_tile)
     }
 
-    /// Notes that a view was published.
     pub(crate) fn note_issued(&mut self, index: u32) {
         if !self.recut.remove(&index) {
             self.issued = self.issued.max(index as usize + 1);
@@ -214,18 +208,12 @@ impl Job {
         }
     }
 
-    /// Notes that a view could not be cut: no other is tried.
-    pub(crate) fn fail(&mut self) {
-        self.has_failed = true;
-    }
-
     /// The view that comes next in the plan's order.
     pub(crate) fn upcoming(&self) -> Option<Upcoming<'_>> {
         let view = self.views.get(self.issued)?;
         Some(Upcoming { view, needs_look: view.is_proposal() && self.awaits_places() })
     }
 
-    /// Notes that the end of the frame was published.
     pub(crate) fn note_end(&mut self, reason: StopReason) {
         self.has_failed = false;
         self.ended = Some(reason);
@@ -236,7 +224,6 @@ impl Job {
         self.ended.is_some() && self.unanswered.is_empty() && self.recut.is_empty()
     }
 
-    /// Whether its end was published.
     pub(crate) fn has_ended(&self) -> bool {
         self.ended.is_some()
     }
@@ -286,13 +273,13 @@ mod tests {
         }
     }
 
-    fn job(stop_rule: StopRule, kinds: &[ViewKind], budget: usize) -> Job {
+    fn job(stop_rule: StopRule, kinds: &[ViewKind], budget: usize) -> FrameJob {
         let views = kinds.iter().map(|&kind| planned(kind)).collect();
-        Job::new(FrameHeader::default(), 1, views, stop_rule, budget, 0)
+        FrameJob::new(FrameHeader::default(), 1, views, stop_rule, budget, 0)
     }
 
     /// Cuts views until the frame ends; every view is answered at once, view `hit` with a marker.
-    fn run(job: &mut Job, hit: Option<u32>, newer_from: u32) -> (u32, StopReason) {
+    fn run(job: &mut FrameJob, hit: Option<u32>, newer_from: u32) -> (u32, StopReason) {
         let mut cut = 0;
         loop {
             match job.next((cut >= newer_from).then_some(StopReason::Newer)) {

@@ -6,7 +6,6 @@
 //! | `backend` | which back end is chosen |
 //! | [`cpu`] | views cut by the processor |
 //! | [`gpu`] | views cut by the graphics processor |
-//! | [`standby`] | the processor in place of a graphics processor that was lost |
 //! | `job` | which views of a frame are cut, which is next, and when it is enough |
 //! | `proposals` | which places that look like a body become views |
 //! | `dispatch` | which worker gets the next view, and which views were lost |
@@ -14,7 +13,7 @@
 //! | `virtual_budget` | what fits into a frame by stated costs, in a lossless run |
 //! | `frame_clock` | which of the two decides |
 //! | [`core`](mod@core) | all decisions: events in, actions out |
-//! | [`cutting`] | cuts and searches of a frame's pixels |
+//! | [`cutting`] | cuts and searches of a frame's pixels, also once the back end is lost |
 //! | `inbox` | the ports that are read |
 //! | `silence_reports` | sources and workers that are silent |
 //! | `stage` | moves messages between ports, core and back end |
@@ -35,7 +34,6 @@ mod proposals;
 pub mod rectifier;
 mod silence_reports;
 mod stage;
-pub mod standby;
 mod virtual_budget;
 
 pub use virtual_budget::PROPOSAL_WINDOWS;

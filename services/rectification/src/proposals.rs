@@ -2,7 +2,7 @@
 
 use flockeye_config::Resolved;
 use flockeye_geometry::mask::Mask;
-use flockeye_geometry::search::PROPOSAL_FIELD_RADII;
+use flockeye_geometry::search::{PROPOSAL_FIELD_RADII, ROI_SIZE_MAX_PX};
 use flockeye_geometry::view::View;
 use flockeye_imaging::proposals::{Detail, MarkerSizes, Proposal};
 
@@ -66,9 +66,6 @@ pub(crate) struct ProposalChooser {
     is_single: bool,
     mask: Mask,
     pixels_per_radian: f64,
-    /// Longest side of a view, pixels.
-    size_max_px: u32,
-    /// The places of the last frame.
     places: Vec<BodyPlace>,
     /// Indices into `places` of those that became views, in the order of the views.
     planned: Vec<usize>,
@@ -78,9 +75,6 @@ pub(crate) struct ProposalChooser {
 
 impl ProposalChooser {
     /// The chooser for the bodies and the camera of a configuration.
-    ///
-    /// # Errors
-    /// A mask that cannot be read.
     pub(crate) fn of(resolved: &Resolved) -> anyhow::Result<Self> {
         let pixels_per_radian = resolved.camera.pixels_per_radian();
         let radius_in_sides = resolved.bodies.radius_in_sides();
@@ -97,7 +91,6 @@ impl ProposalChooser {
             is_single,
             mask: resolved.mask()?.clone(),
             pixels_per_radian,
-            size_max_px: resolved.roi_options.size_max_px,
             places: Vec::new(),
             planned: Vec::new(),
             frames: 0,
@@ -161,11 +154,11 @@ impl ProposalChooser {
             (PROPOSAL_FIELD_RADII * sizes.radius_in_sides * side_rad).min(MAX_HALF_FIELD_RAD);
         let field_rad = 2.0 * half_rad;
         // No larger than a region of interest: shared memory has room for that.
-        let most_px = f64::from(self.size_max_px) / (2.0 * half_rad.tan());
+        let most_px = f64::from(ROI_SIZE_MAX_PX) / (2.0 * half_rad.tan());
         let most = (MAX_MAGNIFICATION * self.pixels_per_radian).min(most_px);
         let focal_px = (MARKER_PX / side_rad).min(most);
         let size_px = (2.0 * focal_px * half_rad.tan()).ceil() as u32;
-        let size_px = size_px.clamp(1, self.size_max_px);
+        let size_px = size_px.clamp(1, ROI_SIZE_MAX_PX);
         View { focal_px, ..View::looking_at(&place.direction_in_camera, field_rad, size_px) }
     }
 }

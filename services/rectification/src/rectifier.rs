@@ -1,19 +1,9 @@
 //! The back ends' common face.
 
+use flockeye_contract::FrameOrder;
 use flockeye_imaging::sphere::{Cut, SphereError, SphereImage};
 
-/// Identity of a frame. Two images under one key are taken for the same.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord)]
-pub struct FrameKey {
-    /// The source's process.
-    pub source_generation: u32,
-    /// Its run.
-    pub epoch: u32,
-    /// The frame's number in it.
-    pub sequence: u64,
-}
-
-/// Cuts views from frames.
+/// Cuts views from frames. Two images of one [`FrameOrder`] are taken for the same.
 ///
 /// [`Rectifier::cut`] alone gives any view of any frame. A graphics processor works ahead if it is
 /// informed before. [`Rectifier::prepare`] names the frame that comes next, which is uploaded while
@@ -30,19 +20,18 @@ pub trait Rectifier {
     ///
     /// # Errors
     /// The device was lost or has no room for the frame.
-    fn prepare(&mut self, frame: FrameKey, sphere: &SphereImage<'_>) -> Result<(), RectifyError>;
+    fn prepare(&mut self, _: FrameOrder, _: &SphereImage<'_>) -> Result<(), RectifyError> {
+        Ok(())
+    }
 
     /// Begins to make `cuts` of a frame. Those ordered before are made only once, those that show
     /// nothing are left to [`Rectifier::cut`] to refuse.
     ///
     /// # Errors
     /// The device was lost, or has no room for the frame or a view.
-    fn order(
-        &mut self,
-        frame: FrameKey,
-        sphere: &SphereImage<'_>,
-        cuts: &[Cut],
-    ) -> Result<(), RectifyError>;
+    fn order(&mut self, _: FrameOrder, _: &SphereImage<'_>, _: &[Cut]) -> Result<(), RectifyError> {
+        Ok(())
+    }
 
     /// Makes `cut` of a frame into `out`, rows of `size_px` bytes without gaps.
     ///
@@ -51,7 +40,7 @@ pub trait Rectifier {
     /// cannot hold, a lost device. After [`RectifyError::is_lost`] the rectifier is of no more use.
     fn cut(
         &mut self,
-        frame: FrameKey,
+        frame: FrameOrder,
         sphere: &SphereImage<'_>,
         cut: &Cut,
         out: &mut [u8],
@@ -60,6 +49,7 @@ pub trait Rectifier {
 
 /// Why no view was cut.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[expect(missing_docs, reason = "the texts name the fields")]
 pub enum RectifyError {
     /// The sphere image, a view or an output is at fault.
     #[error(transparent)]
@@ -72,35 +62,16 @@ pub enum RectifyError {
     NoAdapter,
     /// The device is there, but gives no access.
     #[error("'{adapter}' cannot be used: {reason}; set the back end to 'cpu' to go without it")]
-    Device {
-        /// The device's name.
-        adapter: String,
-        /// The driver's message.
-        reason: String,
-    },
+    Device { adapter: String, reason: String },
     /// More than the device has room for.
     #[error(
         "the {what} are {needed}, but '{adapter}' allows {limit}; make it smaller or set \
          rectification.backend to 'cpu'"
     )]
-    TooLarge {
-        /// What does not fit, with its unit.
-        what: &'static str,
-        /// How much it takes.
-        needed: u64,
-        /// How much is allowed.
-        limit: u64,
-        /// The device's name.
-        adapter: String,
-    },
+    TooLarge { what: &'static str, needed: u64, limit: u64, adapter: String },
     /// The device stopped working.
     #[error("'{adapter}' was lost: {reason}")]
-    Lost {
-        /// The device's name.
-        adapter: String,
-        /// The driver's message.
-        reason: String,
-    },
+    Lost { adapter: String, reason: String },
 }
 
 impl RectifyError {

@@ -13,7 +13,6 @@ use crate::core::Core;
 /// Silence of a source that is reported, nanoseconds.
 const SILENCE_NS: i64 = 5_000_000_000;
 
-/// Reports silence to the log and to the launcher.
 pub(crate) struct SilenceReports {
     listening: Rc<Listening>,
     overdue: Duration,

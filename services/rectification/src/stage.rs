@@ -13,10 +13,9 @@ use flockeye_runtime::{Context, Stage, Step, clock};
 use crate::backend::{self, choose_backend};
 use crate::core::{Action, Core, CutOrder, Event};
 use crate::cutting::Cutter;
-use crate::inbox::Inbox;
+use crate::inbox::InputPorts;
 use crate::proposals::ProposalSearch;
 use crate::silence_reports::SilenceReports;
-use crate::standby::Standby;
 
 type FrameEvent = Event<Message<Frames>>;
 
@@ -24,7 +23,7 @@ const REFUSED: &str = "frame refused";
 
 /// Takes frames, plans and detections (as acknowledgements); gives views and frame ends.
 pub(crate) struct RectificationStage {
-    inbox: Inbox,
+    inbox: InputPorts,
     /// One for each worker.
     views: Vec<Publisher<Views>>,
     frame_ends: Publisher<FrameEnds>,
@@ -42,18 +41,17 @@ impl Stage for RectificationStage {
     fn open(context: &Context, ports: &mut Ports) -> anyhow::Result<Self> {
         let (resolved, generation) = (&context.resolved, context.identity.generation);
         let pipeline = &resolved.pipeline;
-        let choice = pipeline.rectification.backend.into();
+        let choice = pipeline.rectification.backend;
         let threads = pipeline.rectification.threads as usize;
         let (rectifier, why) = choose_backend(choice, threads, &resolved.camera)?;
         tracing::info!("views are cut by {}: {why}", rectifier.name());
         let lanes = 0..pipeline.detection_workers() as usize;
-        let standby = Standby::new(rectifier, threads, context.counters.clone());
         Ok(Self {
-            inbox: Inbox::open(ports, pipeline.flow())?,
+            inbox: InputPorts::open(ports, pipeline.flow())?,
             views: lanes.map(|lane| ports.publisher_of_lane(lane)).collect::<Result<_, _>>()?,
             frame_ends: ports.publisher()?,
             core: Core::of(resolved, generation, clock::monotonic_ns())?,
-            cutter: Cutter::new(standby, resolved.camera),
+            cutter: Cutter::new(rectifier, threads, context.counters.clone(), resolved.camera),
             reports: SilenceReports::new(ports.listening(), pipeline.view_overdue()),
             counters: context.counters.clone(),
             refusals: Throttle::default(),
@@ -62,13 +60,13 @@ impl Stage for RectificationStage {
     }
 
     fn examine(pipeline: &Pipeline) -> Vec<Finding> {
-        backend::examine(pipeline.rectification.backend.into())
+        backend::examine(pipeline.rectification.backend)
     }
 
     fn step(&mut self) -> anyhow::Result<Step> {
         self.counters.add_dropped(self.inbox.receive(&mut self.core)?);
         self.reports.attend(&mut self.core);
-        if let Some((header, frame)) = self.core.waiting()
+        if let Some((header, frame)) = &self.core.waiting
             && let Err(error) = self.cutter.prepare(header, frame.items())
         {
             tracing::debug!("a frame cannot be prepared: {error:#}"); // a warning follows when work on it begins

@@ -38,7 +38,6 @@ impl VirtualBudget {
         Self { costs, each_frame_ms, last: None, left_ms: 0.0 }
     }
 
-    /// A frame is taken up.
     pub(crate) fn begin_frame(&mut self, stamp: &FrameStamp) {
         let interval_ns = self.last.and_then(|last| stamp.interval_ns(&last));
         let interval_ns = interval_ns.unwrap_or(FIRST_INTERVAL_NS).min(MAX_INTERVAL_NS);
@@ -55,7 +54,6 @@ impl VirtualBudget {
         look_ms + self.cost_ms(next.view) <= self.left_ms
     }
 
-    /// A view was cut.
     pub(crate) fn spend(&mut self, planned: &PlannedView) {
         self.left_ms -= self.cost_ms(planned);
     }

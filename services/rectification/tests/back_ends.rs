@@ -4,12 +4,13 @@
 #[path = "../../../common/imaging/tests/exact/mod.rs"]
 mod exact;
 
+use flockeye_contract::FrameOrder;
 use flockeye_geometry::camera::Camera;
 use flockeye_geometry::view::View;
 use flockeye_imaging::sphere::{Cut, MAX_MAPPING_ERROR_PX, SphereImage};
 use flockeye_rectification::cpu::CpuRectifier;
 use flockeye_rectification::gpu::{FoundAdapter, GpuRectifier};
-use flockeye_rectification::rectifier::{FrameKey, Rectifier};
+use flockeye_rectification::rectifier::Rectifier;
 use nalgebra::Vector3;
 
 use self::exact::{cameras, grey, hard_views, is_settled, panorama};
@@ -27,13 +28,13 @@ fn back_ends() -> Vec<Box<dyn Rectifier>> {
     back_ends
 }
 
-fn key(sequence: u64) -> FrameKey {
-    FrameKey { sequence, ..FrameKey::default() }
+fn key(sequence: u64) -> FrameOrder {
+    (0, 0, sequence)
 }
 
 fn cut(
     rectifier: &mut dyn Rectifier,
-    frame: FrameKey,
+    frame: FrameOrder,
     sphere: &SphereImage<'_>,
     cut: &Cut,
 ) -> Vec<u8> {
@@ -46,7 +47,7 @@ fn cut(
 /// tiles and workgroups, so that every place in them comes up.
 fn each_pixel(
     rectifier: &mut dyn Rectifier,
-    frame: FrameKey,
+    frame: FrameOrder,
     sphere: &SphereImage<'_>,
     cuts: &[Cut],
     mut compare: impl FnMut(usize, f64, f64, f64),

@@ -5,8 +5,8 @@
 //! | `core` | which tracks and sightings are published, and as what |
 //! | `stage` | the ports, and the node of `flockeye-ros2` |
 //!
-//! It is an onlooker: it reads `track` and `peer`, and no other stage waits for it. So a router that is not
-//! there, or a process that dies, touches neither the swarm nor the frames.
+//! It is an onlooker: it reads `track` and `peer`, and no other stage waits for it. So a router
+//! that is not there, or a process that dies, touches neither the swarm nor the frames.
 
 mod core;
 mod stage;

@@ -4,13 +4,14 @@ use anyhow::Context as _;
 use flockeye_config::{Flow, Ros2};
 use flockeye_contract::{Peers, Tracks};
 use flockeye_network::utc_from_monotonic;
-use flockeye_ros2::{Ros2Error, Ros2Mode, Ros2Node, Ros2Parameters};
-use flockeye_runtime::health::{Absence, SharedCounters};
+use flockeye_ros2::{Ros2Error, Ros2Node, Ros2Parameters};
+use flockeye_runtime::health::SharedCounters;
 use flockeye_runtime::logs::Throttle;
+use flockeye_runtime::newest::Newest;
 use flockeye_runtime::ports::{Ports, Subscriber};
 use flockeye_runtime::{Context, Stage, Step, clock};
 
-use crate::core::{Core, odometry_of};
+use crate::core::{neighbours_of, odometry_of};
 
 /// How often the link with the router is looked at, nanoseconds.
 const LOOK_NS: i64 = 500_000_000;
@@ -20,14 +21,12 @@ pub(crate) struct Ros2Stage {
     tracks: Subscriber<Tracks>,
     peers: Subscriber<Peers>,
     node: Ros2Node,
-    core: Core,
+    newest: Newest,
     flow: Flow,
     routers: String,
     counters: SharedCounters,
     failures: Throttle,
     look_ns: i64,
-    /// Since when no router is there.
-    absence: Absence,
 }
 
 impl Stage for Ros2Stage {
@@ -40,13 +39,12 @@ impl Stage for Ros2Stage {
             tracks: ports.subscriber()?,
             peers: ports.subscriber()?,
             node: Ros2Node::open(&parameters(settings), &pipeline.observer.name)?,
-            core: Core::default(),
+            newest: Newest::default(),
             flow: pipeline.flow(),
             routers: settings.connect.join(", "),
             counters: context.counters.clone(),
             failures: Throttle::default(),
             look_ns: 0,
-            absence: Absence::default(),
         })
     }
 
@@ -54,7 +52,7 @@ impl Stage for Ros2Stage {
         while let Some(message) = self.tracks.receive()? {
             let stamp = &message.header.stamp;
             let (stamp_utc_ns, _) = utc_from_monotonic(clock::exposure_ns(stamp, self.flow));
-            let neighbours = self.core.on_tracks(stamp, stamp_utc_ns, message.items());
+            let neighbours = neighbours_of(message.items(), stamp, stamp_utc_ns, &mut self.newest);
             for neighbour in &neighbours {
                 self.note(self.node.publish_neighbour(neighbour));
             }
@@ -88,7 +86,7 @@ impl Ros2Stage {
     fn look(&mut self, now_ns: i64) {
         self.look_ns = now_ns + LOOK_NS;
         let is_open = self.node.is_open();
-        self.counters.set_state(self.absence.state(is_open, now_ns));
+        self.counters.note_link(is_open, now_ns);
         self.counters.set_detail(match is_open {
             true => format!("linked with {}", self.routers),
             false => format!("no router at {} yet", self.routers),
@@ -99,10 +97,8 @@ impl Ros2Stage {
 fn parameters(settings: &Ros2) -> Ros2Parameters {
     Ros2Parameters {
         domain: settings.domain,
-        mode: Ros2Mode::Client,
         connect: settings.connect.clone(),
         namespace: settings.namespace.clone(),
-        ..Ros2Parameters::default()
     }
 }
 

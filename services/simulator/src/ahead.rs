@@ -9,10 +9,11 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
 use std::thread::{Builder, JoinHandle};
 use std::time::Duration;
 
+use anyhow::{Context as _, anyhow};
 use flockeye_runtime::clock;
 
-use crate::schedule::{Due, Schedule, Times};
-use crate::{FrameTruth, RenderError, World};
+use crate::schedule::{ExposureSchedule, Times};
+use crate::{FrameTruth, World};
 
 /// Pictures that are drawn, or wait.
 const PICTURES: usize = 3;
@@ -23,7 +24,6 @@ const FRAMES_AHEAD: u64 = 2;
 /// The longest that a picture is waited for at a time.
 const PATIENCE: Duration = Duration::from_millis(50);
 
-/// A frame that has been drawn.
 #[derive(Debug)]
 pub(crate) struct DrawnFrame {
     /// Its luma, row by row without gaps.
@@ -42,33 +42,16 @@ pub(crate) struct DrawnFrame {
 #[derive(Debug)]
 pub(crate) struct AheadDrawer {
     blank: SyncSender<Vec<u8>>,
-    drawn: Receiver<Result<DrawnFrame, AheadError>>,
+    drawn: Receiver<anyhow::Result<DrawnFrame>>,
     /// Ends with how many frames it left out at the end.
     thread: Option<JoinHandle<u64>>,
     picture_bytes: usize,
     has_begun: bool,
 }
 
-/// Why no more frames come.
-#[derive(Debug, thiserror::Error)]
-pub(crate) enum AheadError {
-    /// A frame could not be drawn.
-    #[error("frame {frame}")]
-    Render {
-        /// Its number.
-        frame: u64,
-        /// Why.
-        source: RenderError,
-    },
-    /// The thread has panicked.
-    #[error("the thread that draws has ended; its panic is in the log before")]
-    ThreadEnded,
-}
-
 /// What came of waiting for the next frame.
 #[derive(Debug)]
-pub(crate) enum Delivery {
-    /// The frame.
+pub(crate) enum DrawOutcome {
     Frame(Box<DrawnFrame>),
     /// Nothing: it is not drawn yet.
     NotYet,
@@ -82,9 +65,6 @@ pub(crate) enum Delivery {
 impl AheadDrawer {
     /// Draws the frames of `world` up to `last_frame`. Drawing begins when the first frame is asked
     /// for, which takes longer than any other: the others' times follow from when it is there.
-    ///
-    /// # Errors
-    /// The system starts no thread.
     pub(crate) fn start(world: World, last_frame: u64) -> io::Result<Self> {
         let camera = world.parameters().camera;
         let picture_bytes = camera.width() as usize * camera.height() as usize;
@@ -97,21 +77,20 @@ impl AheadDrawer {
     }
 
     /// The next frame, waited for a little.
-    ///
-    /// # Errors
-    /// [`AheadError`].
-    pub(crate) fn take(&mut self) -> Result<Delivery, AheadError> {
+    pub(crate) fn take(&mut self) -> anyhow::Result<DrawOutcome> {
         if !self.has_begun {
             self.has_begun = true;
             (0..PICTURES).for_each(|_| self.reuse(vec![0; self.picture_bytes]));
         }
         match self.drawn.recv_timeout(PATIENCE) {
-            Ok(drawn) => Ok(Delivery::Frame(Box::new(drawn?))),
-            Err(RecvTimeoutError::Timeout) => Ok(Delivery::NotYet),
+            Ok(drawn) => Ok(DrawOutcome::Frame(Box::new(drawn?))),
+            Err(RecvTimeoutError::Timeout) => Ok(DrawOutcome::NotYet),
             Err(RecvTimeoutError::Disconnected) => {
                 let skipped = self.thread.take().map_or(Ok(0), JoinHandle::join);
-                let skipped = skipped.map_err(|_| AheadError::ThreadEnded)?;
-                Ok(Delivery::Over { skipped })
+                let skipped = skipped.map_err(|_| {
+                    anyhow!("the thread that draws has ended; its panic is in the log before")
+                })?;
+                Ok(DrawOutcome::Over { skipped })
             }
         }
     }
@@ -128,7 +107,7 @@ fn draw_all(
     mut world: World,
     last_frame: u64,
     blanks: &Receiver<Vec<u8>>,
-    tell: &SyncSender<Result<DrawnFrame, AheadError>>,
+    tell: &SyncSender<anyhow::Result<DrawnFrame>>,
 ) -> u64 {
     let width = world.parameters().camera.width() as usize;
     let frames_per_second = world.parameters().frames_per_second;
@@ -138,7 +117,7 @@ fn draw_all(
     let mut schedule = world.parameters().swarm.map(|swarm| {
         let start_ns = swarm.start_ns + (world.parameters().time_of(0) * 1e9).round() as i64;
         let now_ns = clock::monotonic_ns();
-        Schedule::joining(start_ns, frames_per_second, half_exposure_ns, now_ns)
+        ExposureSchedule::joining(start_ns, frames_per_second, half_exposure_ns, now_ns)
     });
     while let Ok(mut luma) = blanks.recv() {
         if let Some(schedule) = &schedule {
@@ -146,17 +125,15 @@ fn draw_all(
             std::thread::sleep(clock::until(begin_ns, clock::monotonic_ns()));
         }
         let begun_ns = clock::monotonic_ns();
-        let first = Due { frame: 0, skipped: 0 };
-        let Due { frame, skipped } =
-            schedule.as_mut().map_or(first, |schedule| schedule.draw(begun_ns));
+        let (frame, skipped) = schedule.as_mut().map_or((0, 0), |schedule| schedule.draw(begun_ns));
         if frame > last_frame {
             return last_frame + 1 - (frame - skipped);
         }
         let truth = world.render(frame, &mut luma, width);
-        let truth = truth.map_err(|source| AheadError::Render { frame, source });
+        let truth = truth.with_context(|| format!("frame {frame}"));
         let drawn_ns = clock::monotonic_ns();
         let schedule = schedule.get_or_insert_with(|| {
-            Schedule::new(drawn_ns - half_exposure_ns, frames_per_second, half_exposure_ns)
+            ExposureSchedule::new(drawn_ns - half_exposure_ns, frames_per_second, half_exposure_ns)
         });
         let took_ns = drawn_ns - begun_ns;
         schedule.drew(took_ns);
@@ -188,9 +165,9 @@ mod tests {
         let until = Instant::now() + Duration::from_secs(60);
         loop {
             match ahead.take().expect("frames can be drawn") {
-                Delivery::Frame(drawn) => return Ok(*drawn),
-                Delivery::Over { skipped } => return Err(skipped),
-                Delivery::NotYet => assert!(Instant::now() < until, "it is never drawn"),
+                DrawOutcome::Frame(drawn) => return Ok(*drawn),
+                DrawOutcome::Over { skipped } => return Err(skipped),
+                DrawOutcome::NotYet => assert!(Instant::now() < until, "it is never drawn"),
             }
         }
     }
@@ -233,7 +210,7 @@ mod tests {
         let mut ahead = AheadDrawer::start(world(100.0), u64::MAX).unwrap();
         let held: Vec<DrawnFrame> = (0..PICTURES).filter_map(|_| next(&mut ahead).ok()).collect();
         assert_eq!(held.len(), PICTURES);
-        assert!(matches!(ahead.take(), Ok(Delivery::NotYet)), "there is nothing to draw in");
+        assert!(matches!(ahead.take(), Ok(DrawOutcome::NotYet)), "there is nothing to draw in");
         held.into_iter().for_each(|drawn| ahead.reuse(drawn.luma));
         assert!(next(&mut ahead).unwrap().skipped > 0, "their times have passed");
     }

@@ -5,10 +5,10 @@ use std::num::NonZero;
 use std::sync::Mutex;
 
 use crate::hall::Hall;
-use crate::kept_painting::KeptPainting;
+use crate::kept_painting;
 use crate::optics::{blur_kernel, blur_row, blur_rows};
 use crate::parameters::WorldParameters;
-use crate::sensor::Sensor;
+use crate::sensor::ImageSensor;
 use crate::sphere::SphereGrid;
 use flockeye_runtime::lock::lock;
 
@@ -25,8 +25,12 @@ pub(crate) struct Backdrop {
 
 impl Backdrop {
     /// Paints the hall, blurred by the lens and by the observer's steady yaw, in linear light.
-    pub(crate) fn new(parameters: &WorldParameters, grid: &SphereGrid, sensor: &Sensor) -> Self {
-        let light = painted(parameters, grid);
+    pub(crate) fn new(
+        parameters: &WorldParameters,
+        grid: &SphereGrid,
+        sensor: &ImageSensor,
+    ) -> Self {
+        let light = painted(parameters, grid, parameters.observer_yaw_rate());
         let width = grid.width;
         let encoded = |encode: &(dyn Fn(f32) -> u8 + Sync)| {
             let mut codes = vec![0u8; light.len()];
@@ -54,25 +58,18 @@ impl Backdrop {
 }
 
 /// The hall in linear light on this grid, blurred by the lens, `lens_blur_px` of the grid's own
-/// pixels, and by the observer's steady yaw.
-pub(crate) fn painted(parameters: &WorldParameters, grid: &SphereGrid) -> Vec<f32> {
-    let width = grid.width as f64;
-    let swept = parameters.observer_yaw_rate().abs() * parameters.exposure_s * (width / TAU);
-    painted_and_swept(parameters, grid, swept)
-}
-
-/// The backdrop of an observer that does not turn.
-pub(crate) fn painted_still(parameters: &WorldParameters, grid: &SphereGrid) -> Vec<f32> {
-    painted_and_swept(parameters, grid, 0.0)
-}
-
-fn painted_and_swept(parameters: &WorldParameters, grid: &SphereGrid, swept: f64) -> Vec<f32> {
-    let kept = KeptPainting::of(parameters, grid, swept);
-    if let Some(light) = kept.as_ref().and_then(|kept| kept.read(grid.width * grid.height)) {
+/// pixels, and by a steady turn of the observer at `yaw_rate`, radians per second.
+pub(crate) fn painted(parameters: &WorldParameters, grid: &SphereGrid, yaw_rate: f64) -> Vec<f32> {
+    let swept = yaw_rate.abs() * parameters.exposure_s * (grid.width as f64 / TAU);
+    let kept = kept_painting::path(parameters, grid, swept);
+    let pixels = grid.width * grid.height;
+    if let Some(light) = kept.as_ref().and_then(|path| kept_painting::read(path, pixels)) {
         return light;
     }
     let light = freshly_painted(parameters, grid, swept);
-    kept.iter().for_each(|kept| kept.write(&light));
+    if let Some(path) = kept {
+        kept_painting::write(&path, &light);
+    }
     light
 }
 
@@ -114,7 +111,11 @@ fn pixel_light(hall: &Hall, grid: &SphereGrid, column: usize, row: usize) -> f32
 
 /// Calls `fill` for every row, on all processors. Each takes the next row when it is done with one,
 /// because some rows cost much more than others.
-fn for_rows<T: Send>(rows: &mut [T], width: usize, fill: impl Fn(usize, &mut [T]) + Sync) {
+pub(crate) fn for_rows<T: Send>(
+    rows: &mut [T],
+    width: usize,
+    fill: impl Fn(usize, &mut [T]) + Sync,
+) {
     let threads = std::thread::available_parallelism().map_or(1, NonZero::get);
     let rows = Mutex::new(rows.chunks_mut(width).enumerate());
     // Nobody panics while the next row is taken, so a poisoned lock is as good as any.
@@ -139,7 +140,7 @@ mod tests {
     fn turning_left_moves_the_picture_right_and_round() {
         let parameters = WorldParameters::default();
         let grid = SphereGrid::new(256, 128);
-        let backdrop = Backdrop::new(&parameters, &grid, &Sensor::new(&parameters));
+        let backdrop = Backdrop::new(&parameters, &grid, &ImageSensor::new(&parameters));
         let row = |shift| {
             let [(a, _), (b, _)] = backdrop.row(60, shift);
             [a, b].concat()

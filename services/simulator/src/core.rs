@@ -6,18 +6,19 @@
 
 use flockeye_config::{Flow, InertialSource, Resolved};
 use flockeye_contract::{BodyTruth, FrameHeader, FrameStamp, ImuHeader, ImuSample, TruthHeader};
-use flockeye_geometry::body::Bodies;
+use flockeye_convert::frame_header;
+use flockeye_geometry::body::{Bodies, Body};
+use nalgebra::Isometry3;
 
-use crate::ahead::{Delivery, DrawnFrame};
+use crate::ahead::{DrawOutcome, DrawnFrame};
 use crate::inertial::InertialSensor;
-use crate::messages::TruthWriter;
+use crate::messages::truth_message;
 use crate::{FrameTruth, World};
 
 /// Time before its hand-over at which a frame is copied into shared memory, nanoseconds: several
 /// times as long as that takes.
 const COPY_AHEAD_NS: i64 = 10_000_000;
 
-/// What is to be done.
 #[derive(Debug)]
 pub(crate) enum Action {
     /// Draw this frame and publish it at once.
@@ -37,28 +38,28 @@ pub(crate) enum Action {
 /// The messages of a frame, in the order in which they are sent: whoever gets the frame has the
 /// rest then.
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) struct FrameMessages {
+pub(crate) struct PictureMessages {
     /// What the inertial sensor has measured until the exposure's end; `None` without one.
     pub(crate) inertial: Option<(ImuHeader, Vec<ImuSample>)>,
-    /// The truth.
     pub(crate) truth: (TruthHeader, Vec<BodyTruth>),
-    /// The header of the picture.
     pub(crate) frame: FrameHeader,
 }
 
 /// What the simulator keeps between frames.
 pub(crate) struct Core {
-    pace: Pace,
-    writer: TruthWriter,
+    pace: FramePace,
+    /// What the headers of all frames have in common.
+    common: FrameHeader,
+    bodies: Vec<Body>,
+    observer_from_camera: Isometry3<f64>,
     sensor: Option<InertialSensor>,
-    generation: u32,
-    last_frame: u64,
+    pub(crate) last_frame: u64,
     /// Whether the sensor's first samples were taken.
     has_joined: bool,
 }
 
 /// When frames are drawn.
-enum Pace {
+enum FramePace {
     /// When they are asked for: a lossless run.
     OnDemand { next_frame: u64 },
     /// Before their time.
@@ -79,45 +80,43 @@ impl Core {
         let sensor = match pipeline.inertial.parsed_source() {
             Ok(InertialSource::Simulated) => {
                 let seed = world.parameters().seed;
-                Some(InertialSensor::new(world.motion().clone(), &settings.inertial, seed))
+                Some(InertialSensor::new(world.motion.clone(), &settings.inertial, seed))
             }
             _ => None,
         };
         Self {
             pace: match pipeline.flow() {
-                Flow::Lossless => Pace::OnDemand { next_frame: 0 },
-                Flow::Latest => Pace::Ahead { waiting: None, is_over: false },
+                Flow::Lossless => FramePace::OnDemand { next_frame: 0 },
+                Flow::Latest => FramePace::Ahead { waiting: None, is_over: false },
             },
-            writer: TruthWriter::new(resolved, flying, generation),
+            common: FrameHeader {
+                stamp: FrameStamp { source_generation: generation, ..FrameStamp::default() },
+                ..frame_header(&resolved.camera, resolved.transfer, pipeline.camera.readout_ms)
+            },
+            bodies: flying.into_iter().flat_map(Bodies::iter).cloned().collect(),
+            observer_from_camera: resolved.observer_from_camera,
             sensor,
-            generation,
             last_frame: settings.frames.checked_sub(1).unwrap_or(u64::MAX),
             has_joined: false,
         }
     }
 
-    /// The number of the last frame.
-    pub(crate) fn last_frame(&self) -> u64 {
-        self.last_frame
-    }
-
-    /// Whether an inertial sensor is simulated.
     pub(crate) fn has_sensor(&self) -> bool {
         self.sensor.is_some()
     }
 
     /// Width and height of a frame, pixels.
     pub(crate) fn size_px(&self) -> (u32, u32) {
-        self.writer.size_px()
+        (self.common.width, self.common.height)
     }
 
     /// Takes what came of [`Action::Await`]. Returns how many frames were left out at the end.
-    pub(crate) fn on(&mut self, delivery: Delivery) -> u64 {
-        let Pace::Ahead { waiting, is_over } = &mut self.pace else { return 0 };
+    pub(crate) fn on(&mut self, delivery: DrawOutcome) -> u64 {
+        let FramePace::Ahead { waiting, is_over } = &mut self.pace else { return 0 };
         match delivery {
-            Delivery::Frame(drawn) => *waiting = Some(drawn),
-            Delivery::NotYet => {}
-            Delivery::Over { skipped } => {
+            DrawOutcome::Frame(drawn) => *waiting = Some(drawn),
+            DrawOutcome::NotYet => {}
+            DrawOutcome::Over { skipped } => {
                 *is_over = true;
                 return skipped;
             }
@@ -128,7 +127,7 @@ impl Core {
     /// What to do at `now_ns`, CLOCK_MONOTONIC.
     pub(crate) fn step(&mut self, now_ns: i64) -> Action {
         match &mut self.pace {
-            Pace::OnDemand { next_frame } => {
+            FramePace::OnDemand { next_frame } => {
                 let frame = *next_frame;
                 if frame > self.last_frame {
                     return Action::Finish;
@@ -136,7 +135,7 @@ impl Core {
                 *next_frame = frame + 1;
                 Action::Draw(frame)
             }
-            Pace::Ahead { waiting, is_over } => {
+            FramePace::Ahead { waiting, is_over } => {
                 let Some(drawn) = waiting.take() else {
                     return if *is_over { Action::Finish } else { Action::Await };
                 };
@@ -160,13 +159,20 @@ impl Core {
         truth: &FrameTruth,
         exposure_ns: Option<i64>,
         now_ns: i64,
-    ) -> FrameMessages {
-        let exposure_ns = exposure_ns.unwrap_or((truth.time_s * 1e9).round() as i64);
-        let stamp = self.writer.stamp(truth.frame, exposure_ns, truth, now_ns);
-        FrameMessages {
+    ) -> PictureMessages {
+        let stream_ns = (truth.time_s * 1e9).round() as i64;
+        let stamp = FrameStamp {
+            sequence: truth.frame,
+            exposure_ns: exposure_ns.unwrap_or(stream_ns),
+            stream_ns,
+            published_ns: now_ns,
+            ..self.common.stamp
+        };
+        let exposure_time_ns = (truth.exposure_s * 1e9).round() as u64;
+        PictureMessages {
             inertial: self.samples(stamp, truth, now_ns),
-            truth: self.writer.truth(stamp, truth),
-            frame: self.writer.frame(stamp, truth),
+            truth: truth_message(stamp, truth, &self.bodies, &self.observer_from_camera),
+            frame: FrameHeader { stamp, exposure_time_ns, ..self.common },
         }
     }
 
@@ -183,7 +189,8 @@ impl Core {
         }
         let zero_ns = stamp.exposure_ns - stamp.stream_ns;
         let samples = sensor.until(truth.time_s + truth.exposure_s / 2.0, zero_ns);
-        Some((ImuHeader { sent_ns: now_ns, epoch: 0, generation: self.generation }, samples))
+        let generation = stamp.source_generation;
+        Some((ImuHeader { sent_ns: now_ns, epoch: 0, generation }, samples))
     }
 }
 

@@ -9,10 +9,10 @@ use std::num::NonZero;
 
 use nalgebra::{UnitQuaternion, Vector3};
 
-use crate::backdrop::painted_still;
+use crate::backdrop::painted;
 use crate::moment::Attitude;
 use crate::parameters::WorldParameters;
-use crate::sensor::Sensor;
+use crate::sensor::ImageSensor;
 use crate::sphere::SphereGrid;
 
 /// Units of a stored value for each unit of light: lamps have three.
@@ -27,7 +27,6 @@ const MAX_LOOKS: usize = 8;
 /// Fixed-point bits of a place.
 const BITS: u32 = 12; // a face of 16,384 texels needs 14 more
 
-/// The panorama on a cube.
 #[derive(Debug)]
 pub(crate) struct CubeBackdrop {
     /// Texels along the side of a face.
@@ -43,20 +42,20 @@ pub(crate) struct CubeBackdrop {
 
 /// A place on a face: which one, and texels from its corner.
 #[derive(Debug, Clone, Copy, PartialEq)]
-struct Place {
+struct CubePlace {
     face: u8,
     at: [f32; 2],
 }
 
 impl CubeBackdrop {
     /// Paints the hall as finely as the camera's image shows it.
-    pub(crate) fn new(parameters: &WorldParameters, sensor: &Sensor) -> Self {
+    pub(crate) fn new(parameters: &WorldParameters, sensor: &ImageSensor) -> Self {
         let pixels_per_radian = parameters.camera.pixels_per_radian();
         // The middle of a face is its coarsest place.
         let side = ((2.0 * pixels_per_radian).ceil() as usize).max(8);
         let width = ((pixels_per_radian * TAU).round() as usize).max(16) / 2 * 2;
         let grid = SphereGrid::new(width, width / 2);
-        let light = painted_still(parameters, &grid);
+        let light = painted(parameters, &grid, 0.0);
         let mut texels = Vec::with_capacity(6 * (side + 1) * (side + 1));
         for face in 0..6 {
             for row in 0..=side {
@@ -147,7 +146,7 @@ impl CubeBackdrop {
 
     /// What the corners of the blocks on a row see when the shutter opens there, and when it
     /// closes.
-    fn nodes(&self, grid: &SphereGrid, camera: &Attitude, row: usize) -> Vec<[Place; 2]> {
+    fn nodes(&self, grid: &SphereGrid, camera: &Attitude, row: usize) -> Vec<[CubePlace; 2]> {
         let begin_end = self.begin_end(camera, row as f64 / grid.height as f64);
         let [begin, end] = begin_end.map(|turn| turn.to_rotation_matrix().into_inner());
         let latitude = (0.5 - (row as f64 + 0.5) / grid.height as f64) * TAU / 2.0;
@@ -195,7 +194,7 @@ impl CubeBackdrop {
         let mut sum = 0;
         for look in 0..looks {
             let share = (look as f64 + 0.5) / looks as f64;
-            let Place { face, at } = self.place(&first.lerp(&last, share));
+            let CubePlace { face, at } = self.place(&first.lerp(&last, share));
             sum += u32::from(self.texel(face, at.map(fixed)));
         }
         (sum / looks as u32) as u16
@@ -204,7 +203,13 @@ impl CubeBackdrop {
     /// Mean light along the ways of a block's row on one face. `corners`: above left, above right,
     /// below left, below right, each when the shutter opens and when it closes.
     #[inline]
-    fn along(&self, face: u8, corners: &[[Place; 2]; 4], row: usize, looks: usize) -> [u16; BLOCK] {
+    fn along(
+        &self,
+        face: u8,
+        corners: &[[CubePlace; 2]; 4],
+        row: usize,
+        looks: usize,
+    ) -> [u16; BLOCK] {
         let down = row as f32 / BLOCK as f32;
         let side = |above: usize, when: usize, k: usize| {
             let (from, to) = (corners[above][when].at[k], corners[above + 2][when].at[k]);
@@ -241,7 +246,7 @@ impl CubeBackdrop {
         mix(pair(at), pair(at + row_length), t) as u16
     }
 
-    fn place(&self, direction: &Vector3<f64>) -> Place {
+    fn place(&self, direction: &Vector3<f64>) -> CubePlace {
         let [x, y, z] = [direction.x, direction.y, direction.z];
         let [wide, deep, high] = [x.abs(), y.abs(), z.abs()];
         // The same axes as in `direction`.
@@ -253,7 +258,7 @@ impl CubeBackdrop {
             (4 + usize::from(z < 0.0), high, [x, y])
         };
         let at = [u, v].map(|k| ((k / along + 1.0) / 2.0 * self.side as f64) as f32);
-        Place { face: face as u8, at }
+        CubePlace { face: face as u8, at }
     }
 }
 
@@ -304,7 +309,7 @@ mod tests {
         let camera = Camera::equirectangular(512, 256);
         let mut parameters = WorldParameters { camera, iso: 0, ..Default::default() };
         change(&mut parameters);
-        let backdrop = CubeBackdrop::new(&parameters, &Sensor::new(&parameters));
+        let backdrop = CubeBackdrop::new(&parameters, &ImageSensor::new(&parameters));
         (backdrop, SphereGrid::new(512, 256))
     }
 
@@ -321,7 +326,7 @@ mod tests {
         for row in 0..grid.height {
             for column in 0..grid.width {
                 let way = ray(&grid, row, column);
-                let Place { face, at } = cube.place(&way);
+                let CubePlace { face, at } = cube.place(&way);
                 let at = at.map(|k| 2.0 * f64::from(k) / cube.side as f64 - 1.0);
                 assert!(direction(usize::from(face), at).angle(&way) < 1e-5, "{row} {column}");
             }

@@ -13,6 +13,15 @@ pub(crate) enum Density {
     Local(Matrix2x3<f64>),
 }
 
+/// A body in the part of the image that one eye takes.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct BodySight {
+    /// Where the eye sees it.
+    pub placement: Placement,
+    /// How many pixels the image has there.
+    pub density: Density,
+}
+
 /// An upper triangle: pixels along and across the first of two perpendicular small turns. What
 /// lies (x, y) radians off the middle lies (x `along` + y `shear`, y `across`) off it in an image
 /// that is turned so that the first axis is its row.

@@ -9,13 +9,14 @@ use std::ops::Range;
 use nalgebra::{Isometry3, Matrix3, Point2, Point3, Vector3};
 
 use crate::density::{Density, Stretch};
-use crate::drone::{Drone, Part};
+use crate::drone::{DronePart, DroneShape, PaintedFace};
 use crate::moment::Placement;
 use crate::optics::{blur_kernel, blur_row, blur_rows};
+use crate::parameters::WorldParameters;
 use crate::raster::{Accumulator, CHANNELS};
-use crate::sensor::Sensor;
+use crate::sensor::ImageSensor;
 use crate::sphere::SphereGrid;
-use crate::sun::Sun;
+use crate::sun::Sunlight;
 use crate::tiles::RayRow;
 
 /// Variance that the drawing adds by itself, square samples: areas of one sample (1/12), and
@@ -24,31 +25,9 @@ const OWN_VARIANCE: f64 = 1.0 / 12.0 + 1.0 / 6.0;
 /// Cover below which a pixel is left alone: a hundredth of a grey level.
 const FAINT: f32 = 1e-4;
 
-/// What a drawing needs to know of the camera.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Sharpness {
-    /// Samples of the drawing for each pixel of the image, along a line.
-    pub samples_per_px: f64,
-    /// Standard deviation of the point spread, samples.
-    pub blur: f64,
-    /// Exposure, seconds.
-    pub exposure_s: f64,
-    /// Samples along either side that no drawing needs more of: the image has no more pixels.
-    pub widest: f64,
-}
-
-/// What lights a drone, as an eye sees it.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Lights {
-    /// The eye's place in the world, and the turn of the camera's axes.
-    pub world_from_eye: Isometry3<f64>,
-    /// A low sun; `None`: the hall's lamps alone.
-    pub sun: Option<Sun>,
-}
-
 /// The drawing of one drone in one frame. Its buffers are kept from frame to frame.
 #[derive(Debug, Default)]
-pub(crate) struct Drawing {
+pub(crate) struct DroneDrawing {
     accumulator: Accumulator,
     width: usize,
     height: usize,
@@ -77,18 +56,21 @@ fn illumination(normal_in_world: &Vector3<f64>) -> f64 {
         + 0.10 * normal_in_world.dot(&window).max(0.0)
 }
 
-impl Drawing {
-    /// Draws `drone` where the eye sees it, in an image of `pixels` there.
+impl DroneDrawing {
+    /// Draws `drone` where an eye sees it, in an image of `pixels` there. `world_from_eye` is the
+    /// eye's place in the world, and the turn of the camera's axes.
     ///
     /// The drone must be at least 1.2 of its radius away, so that all of it is before the plane.
     pub(crate) fn draw(
         &mut self,
-        drone: &Drone,
+        drone: &DroneShape,
         placement: &Placement,
-        lights: &Lights,
+        world_from_eye: &Isometry3<f64>,
         pixels: &Density,
-        sharpness: Sharpness,
+        parameters: &WorldParameters,
     ) {
+        let WorldParameters { camera, samples_per_px, lens_blur_px, exposure_s, sun, .. } =
+            *parameters;
         let pose = &placement.camera_from_markers;
         let axes = drawing_axes(placement);
         let centre = axes[2];
@@ -98,7 +80,7 @@ impl Drawing {
             let (x, y) = (p.x / p.z, p.y / p.z);
             Point2::new(x * stretch.along + y * stretch.shear, y * stretch.across)
         };
-        let bounds = |parts: &[&Part], stretch: &Stretch| {
+        let bounds = |parts: &[&DronePart], stretch: &Stretch| {
             let corners = parts.iter().flat_map(|part| &part.solid.corners);
             corners
                 .map(|corner| stretched(corner, stretch))
@@ -108,18 +90,20 @@ impl Drawing {
         };
         let eye = pose.inverse_transform_point(&Point3::origin());
         let parts = drone.back_to_front(&eye);
-        let mut stretch = pixels.stretch([axes[0], axes[1]]).scaled(sharpness.samples_per_px);
+        let mut stretch = pixels.stretch([axes[0], axes[1]]).scaled(samples_per_px);
+        // No drawing needs more: the image has no more pixels.
+        let widest = samples_per_px * f64::from(camera.width().max(camera.height()));
         let [low, high] = bounds(&parts, &stretch);
         let side = (high - low).max();
-        if side > sharpness.widest {
+        if side > widest {
             // Towards the rim of a very wide plane a body's surroundings grow without end.
-            stretch = stretch.scaled(sharpness.widest / side);
+            stretch = stretch.scaled(widest / side);
         }
 
         // The first axis lies along the motion, so that motion blur is one with the rows' blur.
         // Positive: the parameters ask for a blur of 0.3 pixels, 0.6 samples, or more.
-        let sigma = (sharpness.blur.powi(2) - OWN_VARIANCE).sqrt();
-        let motion = placement.angular_speed() * sharpness.exposure_s * stretch.along;
+        let sigma = ((samples_per_px * lens_blur_px).powi(2) - OWN_VARIANCE).sqrt();
+        let motion = placement.angular_speed() * exposure_s * stretch.along;
         let along = blur_kernel(sigma, motion);
         let across = blur_kernel(sigma, 0.0);
         // Twice the reach along the rows: what is blurred there is blurred from as far again.
@@ -152,8 +136,8 @@ impl Drawing {
         );
         self.samples_from_camera = (samples_from_drawing * drawing_from_camera).cast();
 
-        let world_from_markers = lights.world_from_eye * pose;
-        let sunlight = lights.sun.map(|sun| sun.on(&world_from_markers));
+        let world_from_markers = world_from_eye * pose;
+        let sunlight = sun.map(|sun| Sunlight::on(&sun, &world_from_markers));
         self.accumulator.resize(self.width, self.height);
         self.samples.clear();
         self.samples.resize(self.width * self.height * CHANNELS, 0.0);
@@ -162,23 +146,8 @@ impl Drawing {
         let place = |point: &Point3<f64>| stretched(point, &stretch) - origin.coords;
         for part in &parts {
             for painted in part.faces.iter().filter(|painted| painted.face.height(&eye) > 0.0) {
-                let normal = &painted.face.normal;
-                let full = illumination(&(world_from_markers * normal));
-                let lit = full * sunlight.map_or(1.0, |sunlight| sunlight.shade());
-                let added = sunlight.map(|sunlight| (sunlight, full * sunlight.added(normal)));
-                let ground = (&painted.face.corners, painted.reflectance, 1.0);
-                let prints = painted.print.iter().map(|patch| (&patch.corners, patch.change, 0.0));
-                let mut add = |corners: &[Point3<f64>], light: f64, cover: f64| {
-                    let outline: Vec<_> = corners.iter().map(place).collect();
-                    self.accumulator.add_polygon(&outline, light, cover);
-                };
-                for (corners, reflectance, cover) in [ground].into_iter().chain(prints) {
-                    add(corners, reflectance * lit, cover);
-                    if let Some((sunlight, added)) = added {
-                        let reached = sunlight.reaches(corners);
-                        reached.iter().for_each(|part| add(part, reflectance * added, 0.0));
-                    }
-                }
+                let full = illumination(&(world_from_markers * painted.face.normal));
+                add_face(&mut self.accumulator, painted, full, sunlight.as_ref(), place);
             }
             let [low, high] = bounds(&[part], &stretch).map(|corner| corner - origin.coords);
             let rows = low.y as usize..high.y as usize + 1;
@@ -235,7 +204,7 @@ impl Drawing {
     pub(crate) fn draw_rays(
         &self,
         [rays_x, rays_y, rays_z]: &RayRow,
-        sensor: &Sensor,
+        sensor: &ImageSensor,
         levels: &mut [u8],
         sigmas: &mut [u8],
     ) {
@@ -260,7 +229,7 @@ impl Drawing {
         row: usize,
         columns: &[Range<usize>],
         grid: &SphereGrid,
-        sensor: &Sensor,
+        sensor: &ImageSensor,
         levels: &mut [u8],
         sigmas: &mut [u8],
     ) {
@@ -270,8 +239,8 @@ impl Drawing {
         let [ax, ay, az] = [0, 1, 2].map(|k| m[(k, 0)] * cos_row);
         let [bx, by, bz] = [0, 1, 2].map(|k| m[(k, 1)] * cos_row);
         let [cx, cy, cz] = [0, 1, 2].map(|k| m[(k, 2)] * sin_row);
-        let span = grid.span_of_circle(row, self.longitude, self.latitude, self.radius);
-        let runs = span.runs(grid.width).flat_map(|(first, end)| {
+        let circle = grid.runs_of_circle(row, self.longitude, self.latitude, self.radius);
+        let runs = circle.flat_map(|(first, end)| {
             columns.iter().map(move |part| (first.max(part.start), end.min(part.end)))
         });
         for (first, end) in runs.filter(|(first, end)| first < end) {
@@ -290,7 +259,7 @@ impl Drawing {
 
     /// Lays one of its points over a pixel.
     #[inline]
-    fn blend(&self, [x, y]: [f32; 2], sensor: &Sensor, level: &mut u8, sigma: &mut u8) {
+    fn blend(&self, [x, y]: [f32; 2], sensor: &ImageSensor, level: &mut u8, sigma: &mut u8) {
         if let Some([light, cover]) = self.sample(x, y) {
             *level = sensor.level(sensor.light(*level) * (1.0 - cover) + light);
             *sigma = sensor.sigma(*level);
@@ -320,6 +289,32 @@ impl Drawing {
         };
         let cover = mix(1);
         (cover > FAINT).then(|| [mix(0), cover])
+    }
+}
+
+/// Adds a face that has `full` light, with what is printed on it. `place` puts its corners on the
+/// drawing.
+fn add_face(
+    accumulator: &mut Accumulator,
+    painted: &PaintedFace,
+    full: f64,
+    sunlight: Option<&Sunlight>,
+    place: impl Fn(&Point3<f64>) -> Point2<f64>,
+) {
+    let lit = full * sunlight.map_or(1.0, |sunlight| sunlight.shade);
+    let added = sunlight.map(|sunlight| (sunlight, full * sunlight.added(&painted.face.normal)));
+    let ground = (&painted.face.corners, painted.reflectance, 1.0);
+    let prints = painted.print.iter().map(|(corners, change)| (corners, *change, 0.0));
+    let mut add = |corners: &[Point3<f64>], light: f64, cover: f64| {
+        let outline: Vec<_> = corners.iter().map(&place).collect();
+        accumulator.add_polygon(&outline, light, cover);
+    };
+    for (corners, reflectance, cover) in [ground].into_iter().chain(prints) {
+        add(corners, reflectance * lit, cover);
+        if let Some((sunlight, added)) = added {
+            let reached = sunlight.reaches(corners);
+            reached.iter().for_each(|part| add(part, reflectance * added, 0.0));
+        }
     }
 }
 

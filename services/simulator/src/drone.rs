@@ -17,32 +17,20 @@ const PROPELLER_OPACITY: f32 = 0.16;
 /// Thickness that a flat body is given behind its markers, metres.
 const PLATE_M: f64 = 0.003;
 
-/// A polygon that changes the reflectance of what it lies on.
-#[derive(Debug, Clone)]
-pub(crate) struct Patch {
-    /// Its corners, in the markers' frame, metres.
-    pub corners: Vec<Point3<f64>>,
-    /// Reflectance, relative to what is beneath.
-    pub change: f64,
-}
-
 /// A flat side with everything printed on it.
 #[derive(Debug, Clone)]
 pub(crate) struct PaintedFace {
     /// The flat side.
     pub face: Face,
-    /// Its own reflectance.
     pub reflectance: f64,
-    /// What is printed on it.
-    pub print: Vec<Patch>,
+    /// Polygons printed on it, in the markers' frame, metres, and by how much each changes the
+    /// reflectance of what is beneath.
+    pub print: Vec<(Vec<Point3<f64>>, f64)>,
 }
 
-/// A convex part of a drone.
 #[derive(Debug, Clone)]
-pub(crate) struct Part {
-    /// Its shape.
+pub(crate) struct DronePart {
     pub solid: Solid,
-    /// Its sides.
     pub faces: Vec<PaintedFace>,
     /// How much of what lies behind it hides: 1 but for propellers.
     pub opacity: f32,
@@ -50,18 +38,23 @@ pub(crate) struct Part {
 
 /// A marker body on its drone, in the markers' frame.
 #[derive(Debug, Clone)]
-pub(crate) struct Drone {
+pub(crate) struct DroneShape {
     /// The neighbour's name.
     pub name: String,
-    /// Its markers.
     pub markers: Vec<Marker>,
     /// The marker body first, then the airframe.
-    pub parts: Vec<Part>,
+    pub parts: Vec<DronePart>,
     /// Radius of the sphere round the origin with all of it inside, metres.
     pub radius: f64,
 }
 
-impl Drone {
+impl PaintedFace {
+    fn bare(face: &Face, reflectance: f64) -> Self {
+        Self { face: face.clone(), reflectance, print: Vec::new() }
+    }
+}
+
+impl DroneShape {
     /// Builds the drone of `body`: the convex hull of its facets and, if wanted, an airframe below
     /// it, in proportion.
     ///
@@ -73,11 +66,8 @@ impl Drone {
         airframe: bool,
     ) -> Result<Self, WorldError> {
         let solid = body_solid(body)?;
-        let mut faces: Vec<PaintedFace> = solid
-            .faces
-            .iter()
-            .map(|face| PaintedFace { face: face.clone(), reflectance: BLANK, print: Vec::new() })
-            .collect();
+        let mut faces: Vec<PaintedFace> =
+            solid.faces.iter().map(|face| PaintedFace::bare(face, BLANK)).collect();
         for facet in body.facets() {
             let Some(marker) = facet.marker.map(|k| &body.markers[k]) else { continue };
             let towards = |painted: &PaintedFace| painted.face.normal.dot(&facet.normal);
@@ -87,7 +77,7 @@ impl Drone {
                 .ok_or_else(|| not_convex(body, facet))?;
             print_marker(carrier, facet, marker, body, dictionary)?;
         }
-        let mut parts = vec![Part { solid, faces, opacity: 1.0 }];
+        let mut parts = vec![DronePart { solid, faces, opacity: 1.0 }];
         if airframe {
             let low = parts[0].solid.corners.iter().map(|p| p.z).fold(f64::INFINITY, f64::min);
             parts.extend(airframe_parts(low, body.radius()));
@@ -106,11 +96,11 @@ impl Drone {
     }
 
     /// Its parts as seen from `eye`, in the markers' frame, farthest first.
-    pub(crate) fn back_to_front(&self, eye: &Point3<f64>) -> Vec<&Part> {
-        let mut left: Vec<&Part> = self.parts.iter().collect();
+    pub(crate) fn back_to_front(&self, eye: &Point3<f64>) -> Vec<&DronePart> {
+        let mut left: Vec<&DronePart> = self.parts.iter().collect();
         let mut order = Vec::with_capacity(left.len());
         while !left.is_empty() {
-            let hides_another = |part: &Part| {
+            let hides_another = |part: &DronePart| {
                 left.iter().any(|other| {
                     !std::ptr::eq(*other, part) && part.solid.is_before(&other.solid, eye)
                 })
@@ -160,8 +150,7 @@ fn print_marker(
         last: dictionary.marker_count().saturating_sub(1),
     })?;
     let cells = pattern.cells();
-    let mut print =
-        |corners: Vec<Point3<f64>>, change| carrier.print.push(Patch { corners, change });
+    let mut print = |corners: Vec<Point3<f64>>, change| carrier.print.push((corners, change));
     print(facet.outline.clone(), WHITE - BLANK);
     print(marker.corners.to_vec(), BLACK - WHITE);
     let [origin, right_end, _, down_end] = marker.corners;
@@ -187,19 +176,14 @@ fn print_marker(
 
 /// A quadcopter below a body whose lowest point is at height `low`; sizes follow the body's
 /// `radius`. All parts are boxes along the axes that share no inside, so that planes part them.
-fn airframe_parts(low: f64, radius: f64) -> Vec<Part> {
+fn airframe_parts(low: f64, radius: f64) -> Vec<DronePart> {
     // Drawn for a body of 87 mm.
     let scale = radius / 0.087;
     let box_at = |x: [f64; 2], y: [f64; 2], z: [f64; 2], opacity: f32| {
         let corner = |k: usize| [x[k] * scale, y[k] * scale, low + z[k] * scale];
         let solid = Solid::cuboid(corner(0), corner(1));
-        let paint = |face: &Face| PaintedFace {
-            face: face.clone(),
-            reflectance: CARBON,
-            print: Vec::new(),
-        };
-        let faces = solid.faces.iter().map(paint).collect();
-        Part { solid, faces, opacity }
+        let faces = solid.faces.iter().map(|face| PaintedFace::bare(face, CARBON)).collect();
+        DronePart { solid, faces, opacity }
     };
     let mut parts = vec![
         box_at([-0.012, 0.012], [-0.012, 0.012], [-0.040, -0.0005], 1.0),
@@ -220,7 +204,7 @@ fn airframe_parts(low: f64, radius: f64) -> Vec<Part> {
 }
 
 /// A spinning propeller: a thin translucent disc.
-fn propeller(centre: [f64; 3], scale: f64) -> Part {
+fn propeller(centre: [f64; 3], scale: f64) -> DronePart {
     let ring = |z: f64| {
         (0..20).map(move |k| {
             let (sin, cos) = (f64::from(k) * std::f64::consts::TAU / 20.0).sin_cos();
@@ -235,9 +219,9 @@ fn propeller(centre: [f64; 3], scale: f64) -> Part {
         .faces
         .iter()
         .filter(|face| face.normal.z.abs() > 0.99)
-        .map(|face| PaintedFace { face: face.clone(), reflectance: CARBON, print: Vec::new() })
+        .map(|face| PaintedFace::bare(face, CARBON))
         .collect();
-    Part { solid, faces, opacity: PROPELLER_OPACITY }
+    DronePart { solid, faces, opacity: PROPELLER_OPACITY }
 }
 
 #[cfg(test)]
@@ -257,13 +241,13 @@ mod tests {
 
     #[test]
     fn each_marker_is_printed_on_its_own_facet() {
-        let drone = Drone::new(&alpha(0), &dict_5x5_250(), true).unwrap();
+        let drone = DroneShape::new(&alpha(0), &dict_5x5_250(), true).unwrap();
         let body = &drone.parts[0];
         let printed = body.faces.iter().filter(|face| !face.print.is_empty()).count();
         assert_eq!((body.faces.len(), printed), (26, 17));
         for face in &body.faces {
-            for patch in &face.print {
-                assert!(patch.corners.iter().all(|c| face.face.height(c).abs() < 1e-9));
+            for (corners, _) in &face.print {
+                assert!(corners.iter().all(|c| face.face.height(c).abs() < 1e-9));
             }
         }
         assert!(drone.radius > 0.15 && drone.radius < 0.3, "{}", drone.radius);
@@ -271,17 +255,17 @@ mod tests {
 
     #[test]
     fn an_airframe_hides_from_below_and_not_from_above() {
-        let drone = Drone::new(&alpha(0), &dict_5x5_250(), true).unwrap();
+        let drone = DroneShape::new(&alpha(0), &dict_5x5_250(), true).unwrap();
         let lower = drone.markers.iter().find(|marker| marker.id == 13).unwrap().centre();
         assert!(drone.hides(&Point3::new(0.15, 0.0, -1.0), &lower));
         assert!(!drone.hides(&Point3::new(2.0, 0.0, 0.0), &lower));
-        let bare = Drone::new(&alpha(0), &dict_5x5_250(), false).unwrap();
+        let bare = DroneShape::new(&alpha(0), &dict_5x5_250(), false).unwrap();
         assert!(!bare.hides(&Point3::new(0.15, 0.0, -1.0), &lower));
     }
 
     #[test]
     fn parts_come_farthest_first() {
-        let drone = Drone::new(&alpha(0), &dict_5x5_250(), true).unwrap();
+        let drone = DroneShape::new(&alpha(0), &dict_5x5_250(), true).unwrap();
         for eye in [[1.0, 0.3, 0.2], [0.1, -0.2, -0.9], [-0.5, 0.6, 0.8], [0.0, 0.0, 1.5]] {
             let eye = Point3::from(eye);
             let order = drone.back_to_front(&eye);
@@ -297,19 +281,20 @@ mod tests {
     fn flat_bodies_get_a_back_and_hollow_ones_are_refused() {
         let markers = alpha(0).markers;
         let plate = Body::new("plate", markers[..1].to_vec());
-        let drone = Drone::new(&plate, &dict_5x5_250(), false).unwrap();
+        let drone = DroneShape::new(&plate, &dict_5x5_250(), false).unwrap();
         assert_eq!(drone.parts[0].faces.len(), 6);
 
         let mut hollow = markers;
         let inwards = hollow[1].normal() * -0.02;
         hollow[1].corners.iter_mut().for_each(|corner| *corner += inwards);
-        let error = Drone::new(&Body::new("alpha", hollow), &dict_5x5_250(), false).unwrap_err();
+        let error =
+            DroneShape::new(&Body::new("alpha", hollow), &dict_5x5_250(), false).unwrap_err();
         assert!(error.to_string().contains("marker 1 of body 'alpha'"), "{error}");
     }
 
     #[test]
     fn unknown_patterns_are_refused() {
-        let error = Drone::new(&alpha(240), &dict_5x5_250(), false).unwrap_err();
+        let error = DroneShape::new(&alpha(240), &dict_5x5_250(), false).unwrap_err();
         assert!(error.to_string().contains("marker 250 of body 'alpha'"), "{error}");
     }
 }

@@ -17,7 +17,7 @@ const WIDE_STEP_S: f64 = 1e-3;
 
 /// A drone's way through the world.
 #[derive(Debug, Clone, PartialEq)]
-pub struct DroneMotion {
+pub(crate) struct DroneMotion {
     /// Yaw at time 0, radians, and the rate of the steady yaw, rad/s.
     yaw: [f64; 2],
     /// Path of the drone without gusts; `None`: it stays at the world's origin.
@@ -30,7 +30,7 @@ pub struct DroneMotion {
 
 impl DroneMotion {
     /// The observer's motion in the world of these parameters.
-    pub fn of_observer(parameters: &WorldParameters) -> Self {
+    pub(crate) fn of_observer(parameters: &WorldParameters) -> Self {
         let drone = parameters.swarm.map_or(0, |swarm| swarm.drone);
         let motion = Self::of_drone(parameters, drone);
         let camera = parameters.swarm.map(|swarm| Translation3::from(swarm.observer_from_camera_m));
@@ -38,7 +38,7 @@ impl DroneMotion {
     }
 
     /// The motion of a drone of a swarm, by its number. Alone, the observer is number 0.
-    pub fn of_drone(parameters: &WorldParameters, drone: u32) -> Self {
+    pub(crate) fn of_drone(parameters: &WorldParameters, drone: u32) -> Self {
         let [tilt, swing] = [parameters.tilt_deg, parameters.yaw_swing_deg_s].map(f64::to_radians);
         let gusts = (!parameters.is_calm())
             .then(|| Gusts::draw(parameters.seed, u64::from(drone), tilt, swing));
@@ -47,14 +47,14 @@ impl DroneMotion {
             None => ([0.0, rate], None),
             Some(swarm) => {
                 let wander = Wander::draw(parameters, drone, swarm.drones);
-                ([wander.start_yaw(), wander.sense() * rate], Some(wander))
+                ([wander.start_yaw, wander.sense * rate], Some(wander))
             }
         };
         Self { yaw, wander, gusts, drone_from_camera: Translation3::identity() }
     }
 
     /// The drone's pose in the world at a time, seconds since the middle of frame 0's exposure.
-    pub fn world_from_drone(&self, time_s: f64) -> Isometry3<f64> {
+    pub(crate) fn world_from_drone(&self, time_s: f64) -> Isometry3<f64> {
         let place = self.wander.as_ref().map(|wander| wander.position(time_s));
         let place = Translation3::from(place.unwrap_or_else(Vector3::zeros));
         let yaw = |angle: f64| UnitQuaternion::from_axis_angle(&Vector3::z_axis(), wrapped(angle));
@@ -66,12 +66,12 @@ impl DroneMotion {
     }
 
     /// The camera's pose in the world at a time, seconds since the middle of frame 0's exposure.
-    pub fn world_from_camera(&self, time_s: f64) -> Isometry3<f64> {
+    pub(crate) fn world_from_camera(&self, time_s: f64) -> Isometry3<f64> {
         self.world_from_drone(time_s) * self.drone_from_camera
     }
 
     /// How the camera is turned at a time, and how it turns.
-    pub fn attitude(&self, time_s: f64) -> Attitude {
+    pub(crate) fn attitude(&self, time_s: f64) -> Attitude {
         if self.gusts.is_none() {
             let level = Attitude::level(wrapped(self.yaw[0] + self.yaw[1] * time_s));
             return Attitude { rate_in_camera: Vector3::z() * self.yaw[1], ..level };
@@ -86,7 +86,7 @@ impl DroneMotion {
 
     /// What an accelerometer in the camera measures, along its axes, m/s^2: acceleration less
     /// gravity.
-    pub fn specific_force(&self, time_s: f64) -> Vector3<f64> {
+    pub(crate) fn specific_force(&self, time_s: f64) -> Vector3<f64> {
         let at = |time_s: f64| self.world_from_camera(time_s);
         let position = |time_s: f64| at(time_s).translation.vector;
         let acceleration = (position(time_s - WIDE_STEP_S) - 2.0 * position(time_s)

@@ -2,6 +2,7 @@
 
 /// Why a world cannot be made.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[expect(missing_docs, reason = "the texts name the fields")]
 pub enum WorldError {
     /// Values out of their range, all of them.
     #[error("{}", .0.join("; "))]
@@ -11,59 +12,26 @@ pub enum WorldError {
         "marker {id} of body '{body}' is not in {dictionary}, which has ids 0 to {last}; choose \
          another id, or a larger dictionary"
     )]
-    UnknownMarker {
-        /// The body.
-        body: String,
-        /// The marker.
-        id: u32,
-        /// The dictionary.
-        dictionary: String,
-        /// Its last id.
-        last: usize,
-    },
+    UnknownMarker { body: String, id: u32, dictionary: String, last: usize },
     /// Another dictionary than the bodies'.
     #[error("the bodies' markers are from {bodies}, not from {given}; load {bodies}")]
-    Dictionary {
-        /// The bodies' dictionary.
-        bodies: String,
-        /// What was given.
-        given: String,
-    },
+    Dictionary { bodies: String, given: String },
     /// A body whose facets are not all on the surface of their hull.
     #[error(
         "{} does not lie on the body's convex hull; only convex bodies can be simulated",
         described(.body, .marker)
     )]
-    NotConvex {
-        /// The body.
-        body: String,
-        /// The marker on the facet, if there is one.
-        marker: Option<u32>,
-    },
+    NotConvex { body: String, marker: Option<u32> },
     /// A distance range that begins inside of a drone.
     #[error(
         "body '{body}' comes as near as {near} m, and must stay {least:.2} m away; raise distance_m's first value"
     )]
-    TooNear {
-        /// The body.
-        body: String,
-        /// Nearest distance, metres.
-        near: f64,
-        /// What is needed, metres.
-        least: f64,
-    },
+    TooNear { body: String, near: f64, least: f64 },
     /// More bodies than can fly without meeting.
     #[error(
         "{bodies} bodies cannot keep apart between {near} m and {far} m; raise distance_m, or simulate fewer bodies"
     )]
-    Crowded {
-        /// How many.
-        bodies: usize,
-        /// Nearest distance, metres.
-        near: f64,
-        /// Farthest distance, metres.
-        far: f64,
-    },
+    Crowded { bodies: usize, near: f64, far: f64 },
 }
 
 fn described(body: &str, marker: &Option<u32>) -> String {
@@ -75,39 +43,18 @@ fn described(body: &str, marker: &Option<u32>) -> String {
 
 /// Why a frame cannot be rendered.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[expect(missing_docs, reason = "the texts name the fields")]
 pub enum RenderError {
     /// Rows that overlap.
     #[error("a stride of {stride} bytes is shorter than a row of {width} pixels")]
-    Stride {
-        /// Bytes from row to row.
-        stride: usize,
-        /// Pixels in a row.
-        width: usize,
-    },
+    Stride { stride: usize, width: usize },
     /// Memory that ends before the picture does.
     #[error("the frame needs {needed} bytes; the memory given has {given}")]
-    Memory {
-        /// Bytes that are needed.
-        needed: usize,
-        /// Bytes that were given.
-        given: usize,
-    },
+    Memory { needed: usize, given: usize },
     /// A moment that places another number of bodies than the world has.
     #[error("the moment places {placed} bodies; the world has {bodies}")]
-    Placements {
-        /// How many are placed.
-        placed: usize,
-        /// How many there are.
-        bodies: usize,
-    },
+    Placements { placed: usize, bodies: usize },
     /// A body too near to be drawn, or at no finite place.
     #[error("body '{body}' is at {distance} m; it can be drawn from {least:.2} m on")]
-    TooNear {
-        /// The body.
-        body: String,
-        /// Its distance, metres.
-        distance: f64,
-        /// What is needed, metres.
-        least: f64,
-    },
+    TooNear { body: String, distance: f64, least: f64 },
 }

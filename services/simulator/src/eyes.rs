@@ -2,25 +2,25 @@
 
 use flockeye_geometry::Ray;
 use flockeye_geometry::camera::{Camera, CameraModel, Lens, SpherePixel};
-use nalgebra::{Isometry3, Translation3, Vector3};
+use nalgebra::Vector3;
 
 /// A place from which the image, or a part of it, is taken.
 ///
 /// Directions are seen from here, along the camera's axes: near things truly shift from one eye to
 /// another.
 #[derive(Debug, Clone, Copy)]
-pub struct Eye {
+pub(crate) struct Eye {
     /// Where it is in the camera frame, metres.
-    pub position_m: Vector3<f64>,
+    pub(crate) position_m: Vector3<f64>,
     /// Which of the image's connected pictures it adds to: the halves of a stitched image make
     /// one, each image circle is one of its own.
-    pub picture: usize,
-    part: Part,
+    pub(crate) picture: usize,
+    part: ImagePart,
 }
 
 /// The part of the image that an eye takes.
 #[derive(Debug, Clone, Copy)]
-enum Part {
+enum ImagePart {
     Whole(Camera),
     /// Where a stitched camera looks ahead (x >= 0), or back.
     Half {
@@ -32,7 +32,7 @@ enum Part {
 
 impl Eye {
     /// The eyes of a camera: one, or one for each lens.
-    pub fn all(camera: &Camera) -> Vec<Self> {
+    pub(crate) fn all(camera: &Camera) -> Vec<Self> {
         // A lens' own directions are those of things infinitely far away.
         let camera = camera.at_distance(f64::INFINITY);
         let eye = |position_m, picture, part| Self { position_m, picture, part };
@@ -41,52 +41,47 @@ impl Eye {
                 [(0.5, true), (-0.5, false)]
                     .map(|(side, is_ahead)| {
                         let position_m = Vector3::x() * (side * lens_distance_m);
-                        eye(position_m, 0, Part::Half { camera, is_ahead })
+                        eye(position_m, 0, ImagePart::Half { camera, is_ahead })
                     })
                     .into()
             }
             CameraModel::DualFisheye(lenses) => (0..)
                 .zip(lenses)
                 .map(|(k, lens)| {
-                    eye(lens.camera_from_lens.translation.vector, k, Part::Circle(lens))
+                    eye(lens.camera_from_lens.translation.vector, k, ImagePart::Circle(lens))
                 })
                 .collect(),
             CameraModel::Equirectangular { .. } | CameraModel::Stereographic { .. } => {
-                vec![eye(Vector3::zeros(), 0, Part::Whole(camera))]
+                vec![eye(Vector3::zeros(), 0, ImagePart::Whole(camera))]
             }
         }
     }
 
     /// The direction that `pixel` sees; `None` where it is not this eye's.
-    pub fn ray(&self, pixel: SpherePixel) -> Option<Ray> {
+    pub(crate) fn ray(&self, pixel: SpherePixel) -> Option<Ray> {
         match &self.part {
-            Part::Whole(camera) => camera.ray(pixel),
-            Part::Half { camera, is_ahead } => {
+            ImagePart::Whole(camera) => camera.ray(pixel),
+            ImagePart::Half { camera, is_ahead } => {
                 camera.ray(pixel).filter(|ray| (ray.x >= 0.0) == *is_ahead)
             }
-            Part::Circle(lens) if lens.holds(pixel) => {
+            ImagePart::Circle(lens) if lens.holds(pixel) => {
                 lens.ray(pixel).map(|ray| lens.camera_from_lens.rotation * ray)
             }
-            Part::Circle(_) => None,
+            ImagePart::Circle(_) => None,
         }
     }
 
     /// The point that sees `direction`; `None` where this eye does not look.
-    pub fn project(&self, direction: &Vector3<f64>) -> Option<SpherePixel> {
+    pub(crate) fn project(&self, direction: &Vector3<f64>) -> Option<SpherePixel> {
         match &self.part {
-            Part::Whole(camera) => camera.project(&Ray::new_normalize(*direction)),
-            Part::Half { camera, is_ahead } if (direction.x >= 0.0) == *is_ahead => {
+            ImagePart::Whole(camera) => camera.project(&Ray::new_normalize(*direction)),
+            ImagePart::Half { camera, is_ahead } if (direction.x >= 0.0) == *is_ahead => {
                 camera.project(&Ray::new_normalize(*direction))
             }
-            Part::Half { .. } => None,
-            Part::Circle(lens) => {
+            ImagePart::Half { .. } => None,
+            ImagePart::Circle(lens) => {
                 lens.project(&lens.camera_from_lens.inverse_transform_vector(direction))
             }
         }
-    }
-
-    /// A pose in the camera frame, as seen from here.
-    pub fn sees(&self, camera_from_markers: &Isometry3<f64>) -> Isometry3<f64> {
-        Translation3::from(-self.position_m) * camera_from_markers
     }
 }

@@ -57,7 +57,6 @@ impl Swings {
     }
 }
 
-/// The gusts on one drone.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Gusts {
     /// Lean along the world's x and y: horizontal thrust over vertical.

@@ -44,7 +44,6 @@ pub(crate) struct Hall {
 const SECTORS: usize = 256;
 
 impl Hall {
-    /// The hall of this seed.
     pub(crate) fn new(seed: u64) -> Self {
         let mut random = StdRng::seed_from_u64(mix(seed ^ 0x6861_6c6c));
         let crates: Vec<Crate> = (0..22).map(|_| draw_crate(&mut random)).collect();

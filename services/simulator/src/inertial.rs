@@ -28,7 +28,6 @@ pub(crate) struct InertialSensor {
     /// Along the sensor's axes, rad/s.
     bias: Vector3<f64>,
     seed: u64,
-    /// Number of the next sample.
     next: u64,
 }
 

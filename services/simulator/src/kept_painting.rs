@@ -1,7 +1,7 @@
 //! A painted hall that a simulator's process leaves to the next one, which then need not paint it.
 
 use std::fs;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use flockeye_runtime::whole_file::write_whole;
 
@@ -11,36 +11,30 @@ use crate::sphere::SphereGrid;
 /// Rises when the hall is painted in another way.
 const PAINTER: u64 = 1;
 
-/// Where one painting is kept.
-#[derive(Debug)]
-pub(crate) struct KeptPainting(PathBuf);
+/// Where the painting of this world on this grid is kept, with so many columns swept in an exposure.
+/// `None` where nothing is kept.
+pub(crate) fn path(parameters: &WorldParameters, grid: &SphereGrid, swept: f64) -> Option<PathBuf> {
+    let folder = parameters.paint_folder.as_deref()?;
+    let (seed, width, height) = (parameters.seed, grid.width, grid.height);
+    let [blur, swept] = [parameters.lens_blur_px, swept].map(f64::to_bits);
+    let name = format!("painting-{PAINTER}-{seed}-{width}x{height}-{blur:x}-{swept:x}");
+    Some(folder.join(name))
+}
 
-impl KeptPainting {
-    /// The painting of this world on this grid, with so many columns swept in an exposure. `None`
-    /// where nothing is kept.
-    pub(crate) fn of(parameters: &WorldParameters, grid: &SphereGrid, swept: f64) -> Option<Self> {
-        let folder = parameters.paint_folder.as_deref()?;
-        let (seed, width, height) = (parameters.seed, grid.width, grid.height);
-        let [blur, swept] = [parameters.lens_blur_px, swept].map(f64::to_bits);
-        let name = format!("painting-{PAINTER}-{seed}-{width}x{height}-{blur:x}-{swept:x}");
-        Some(Self(folder.join(name)))
-    }
+/// What was kept, if that is a painting of `pixels` pixels.
+pub(crate) fn read(path: &Path, pixels: usize) -> Option<Vec<f32>> {
+    let bytes = fs::read(path).ok()?;
+    let (chunks, rest) = bytes.as_chunks::<4>();
+    let is_whole = chunks.len() == pixels && rest.is_empty();
+    is_whole.then(|| chunks.iter().map(|chunk| f32::from_le_bytes(*chunk)).collect())
+}
 
-    /// What was kept, if that is a painting of `pixels` pixels.
-    pub(crate) fn read(&self, pixels: usize) -> Option<Vec<f32>> {
-        let bytes = fs::read(&self.0).ok()?;
-        let (chunks, rest) = bytes.as_chunks::<4>();
-        let is_whole = chunks.len() == pixels && rest.is_empty();
-        is_whole.then(|| chunks.iter().map(|chunk| f32::from_le_bytes(*chunk)).collect())
-    }
-
-    /// Keeps a painting. Where that cannot be, the next process paints it again.
-    pub(crate) fn write(&self, light: &[f32]) {
-        let bytes: Vec<u8> = light.iter().flat_map(|light| light.to_le_bytes()).collect();
-        let made = self.0.parent().map_or(Ok(()), fs::create_dir_all);
-        if let Err(error) = made.and_then(|()| write_whole(&self.0, &bytes)) {
-            tracing::debug!("the painted hall is not kept: {}: {error}", self.0.display());
-        }
+/// Keeps a painting. Where that cannot be, the next process paints it again.
+pub(crate) fn write(path: &Path, light: &[f32]) {
+    let bytes: Vec<u8> = light.iter().flat_map(|light| light.to_le_bytes()).collect();
+    let made = path.parent().map_or(Ok(()), fs::create_dir_all);
+    if let Err(error) = made.and_then(|()| write_whole(path, &bytes)) {
+        tracing::debug!("the painted hall is not kept: {}: {error}", path.display());
     }
 }
 
@@ -55,20 +49,20 @@ mod tests {
         let parameters =
             WorldParameters { paint_folder: Some(folder.clone()), ..WorldParameters::default() };
         let grid = SphereGrid::new(8, 4);
-        let kept = KeptPainting::of(&parameters, &grid, 0.5).unwrap();
-        assert_eq!(kept.read(32), None);
+        let kept = path(&parameters, &grid, 0.5).unwrap();
+        assert_eq!(read(&kept, 32), None);
         let light: Vec<f32> = (0..32).map(|pixel| pixel as f32 / 7.0).collect();
-        kept.write(&light);
-        assert_eq!(kept.read(32), Some(light));
-        assert_eq!(kept.read(33), None);
+        write(&kept, &light);
+        assert_eq!(read(&kept, 32), Some(light));
+        assert_eq!(read(&kept, 33), None);
         for other in [
-            KeptPainting::of(&WorldParameters { seed: 77, ..parameters.clone() }, &grid, 0.5),
-            KeptPainting::of(&parameters, &grid, 0.6),
-            KeptPainting::of(&parameters, &SphereGrid::new(4, 8), 0.5),
+            path(&WorldParameters { seed: 77, ..parameters.clone() }, &grid, 0.5),
+            path(&parameters, &grid, 0.6),
+            path(&parameters, &SphereGrid::new(4, 8), 0.5),
         ] {
-            assert_eq!(other.unwrap().read(32), None);
+            assert_eq!(read(&other.unwrap(), 32), None);
         }
-        assert!(KeptPainting::of(&WorldParameters::default(), &grid, 0.5).is_none());
+        assert!(path(&WorldParameters::default(), &grid, 0.5).is_none());
         fs::remove_dir_all(folder).unwrap();
     }
 }

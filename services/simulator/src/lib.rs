@@ -40,8 +40,7 @@
 //! | `drone` | bodies and airframes as painted convex parts |
 //! | `raster`, `optics`, `drawing` | drawn with exact area coverage, blurred by lens and motion, for each eye |
 //! | `sun` | a low sun, and the shadows that it casts in stripes |
-//! | `density` | how many pixels the image has round a body |
-//! | `sight` | where an eye sees a body, and how finely |
+//! | `density` | where an eye sees a body, and how many pixels the image has there |
 //! | `own_airframe` | the observer's own legs over everything |
 //! | `scene`, `picture` | what a frame is made from, and the image that it is laid on |
 //! | `sphere`, `sphere_picture` | laid on the sphere image, row by row |
@@ -49,7 +48,7 @@
 //! | `response`, `sensor` | the curve to code values, clipping, noise |
 //! | `schedule`, `ahead` | in flight: which frame is drawn when, before its time |
 //! | `settings` | the world as the configuration asks for it |
-//! | `messages` | what the world draws, as messages |
+//! | `messages` | the truth about a frame, as messages |
 //! | `core` | which frame is drawn or handed over next, and its messages |
 //! | `stage` | the ports around it |
 
@@ -83,7 +82,6 @@ mod scene;
 mod schedule;
 mod sensor;
 pub mod settings;
-mod sight;
 mod sphere;
 mod sphere_picture;
 mod stage;
@@ -97,8 +95,8 @@ mod world;
 
 pub use error::{RenderError, WorldError};
 pub use moment::{Attitude, Moment, Placement};
-pub use parameters::{Quality, WorldParameters};
-pub use response::Response;
+pub use parameters::WorldParameters;
+pub use response::CameraCurve;
 pub use truth::{FrameTruth, TargetTruth};
 pub use world::World;
 

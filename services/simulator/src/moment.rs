@@ -1,6 +1,6 @@
 //! Where the bodies are at one instant.
 
-use nalgebra::{Isometry3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 
 use crate::eyes::Eye;
 
@@ -20,8 +20,11 @@ impl Placement {
     }
 
     /// The placement as an eye sees it, from its own place and along the camera's axes.
-    pub fn seen_from(&self, eye: &Eye) -> Self {
-        Self { camera_from_markers: eye.sees(&self.camera_from_markers), ..*self }
+    pub(crate) fn seen_from(&self, eye: &Eye) -> Self {
+        Self {
+            camera_from_markers: Translation3::from(-eye.position_m) * self.camera_from_markers,
+            ..*self
+        }
     }
 
     /// How fast the centre moves across the sphere, radians per second.
@@ -56,7 +59,7 @@ impl Attitude {
     }
 
     /// The placement this many seconds later.
-    pub fn after(&self, time_s: f64) -> Self {
+    pub(crate) fn after(&self, time_s: f64) -> Self {
         let turned = UnitQuaternion::from_scaled_axis(self.rate_in_camera * time_s);
         Self { world_from_camera: self.world_from_camera * turned, ..*self }
     }

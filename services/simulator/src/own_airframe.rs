@@ -4,7 +4,7 @@ use std::f32::consts::{FRAC_PI_2, FRAC_PI_4, TAU};
 
 use crate::density::Density;
 use crate::parameters::WorldParameters;
-use crate::sensor::Sensor;
+use crate::sensor::ImageSensor;
 use crate::sphere::SphereGrid;
 
 /// Latitude of the deck's rim, radians: below it there is nothing else to see.
@@ -29,7 +29,7 @@ struct RowCover {
 
 /// The observer's airframe in its own camera.
 #[derive(Debug)]
-pub(crate) struct OwnAirframe {
+pub(crate) struct AirframeCover {
     first_row: usize,
     rows: Vec<RowCover>,
     level: u8,
@@ -46,9 +46,9 @@ pub(crate) fn cover(longitude: f32, latitude: f32, softness: f32) -> f32 {
     (0.5 - outside / softness).clamp(0.0, 1.0)
 }
 
-impl OwnAirframe {
+impl AirframeCover {
     /// The airframe on this grid, with edges as soft as a lens of `lens_blur_px` makes them.
-    pub(crate) fn new(grid: &SphereGrid, lens_blur_px: f64, sensor: &Sensor) -> Self {
+    pub(crate) fn new(grid: &SphereGrid, lens_blur_px: f64, sensor: &ImageSensor) -> Self {
         let pixel = TAU / grid.width as f32;
         let softness = edge_softness(lens_blur_px, grid.width as f64);
         let latitude = |row: usize| FRAC_PI_2 - (row as f32 + 0.5) * pixel;
@@ -75,7 +75,6 @@ impl OwnAirframe {
         Self { first_row, rows, level: sensor.level(LIGHT) }
     }
 
-    /// Whether it covers any of `row`.
     pub(crate) fn touches(&self, row: usize) -> bool {
         row >= self.first_row
     }
@@ -84,7 +83,7 @@ impl OwnAirframe {
     pub(crate) fn draw_row(
         &self,
         row: usize,
-        sensor: &Sensor,
+        sensor: &ImageSensor,
         levels: &mut [u8],
         sigmas: &mut [u8],
     ) {
@@ -102,7 +101,7 @@ impl OwnAirframe {
 }
 
 /// Lays the airframe over a pixel of which it covers a share.
-pub(crate) fn blend(cover: f32, sensor: &Sensor, level: &mut u8, sigma: &mut u8) {
+pub(crate) fn blend(cover: f32, sensor: &ImageSensor, level: &mut u8, sigma: &mut u8) {
     *level = sensor.level(sensor.light(*level) * (1.0 - cover) + LIGHT * cover);
     *sigma = sensor.sigma(*level);
 }

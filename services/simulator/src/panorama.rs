@@ -5,9 +5,9 @@ use std::f64::consts::{PI, TAU};
 
 use crate::backdrop::painted;
 use crate::parameters::WorldParameters;
-use crate::sensor::Sensor;
+use crate::sensor::ImageSensor;
 use crate::sphere::SphereGrid;
-use crate::tiles::{TILE, Tile};
+use crate::tiles::{ImageTile, TILE};
 
 /// Steps of a stored value for each unit of light's root.
 const ROOT_STEPS: f32 = 8192.0;
@@ -48,12 +48,12 @@ impl Panoramas {
     /// The panoramas that `bands` of tiles need, and where each tile looks.
     pub(crate) fn new(
         parameters: &WorldParameters,
-        bands: &[Vec<Tile>],
-        sensor: &Sensor,
+        bands: &[Vec<ImageTile>],
+        sensor: &ImageSensor,
     ) -> (Self, Vec<Vec<Outlook>>) {
         let camera = &parameters.camera;
         let usual = camera.pixels_per_radian();
-        let doublings = |tile: &Tile| {
+        let doublings = |tile: &ImageTile| {
             // A panorama of many more columns than the image, for the rim of a very wide plane, is
             // not worth its time and memory.
             let most = f64::from(camera.width().max(camera.height())) / PI;
@@ -70,7 +70,7 @@ impl Panoramas {
         let encoded = (0..ROOTS)
             .map(|root| [sensor.level(light(root)), sensor.sigma_of_light(light(root))])
             .collect();
-        let outlook = |tile: &Tile| Outlook::new(tile, (doublings(tile) - least) as usize);
+        let outlook = |tile: &ImageTile| Outlook::new(tile, (doublings(tile) - least) as usize);
         let outlooks = bands.iter().map(|band| band.iter().map(outlook).collect()).collect();
         (Self { sizes, encoded }, outlooks)
     }
@@ -78,7 +78,7 @@ impl Panoramas {
     /// Writes levels and sigmas of a row of a tile, for an observer turned left by `yaw` radians.
     pub(crate) fn fill(
         &self,
-        tile: &Tile,
+        tile: &ImageTile,
         outlook: &Outlook,
         row: usize,
         yaw: f64,
@@ -104,7 +104,7 @@ impl Panorama {
     fn new(parameters: &WorldParameters, pixels_per_radian: f64) -> Self {
         let half = (pixels_per_radian * PI).clamp(WIDTHS[0] / 2.0, WIDTHS[1] / 2.0).ceil() as usize;
         let grid = SphereGrid::new(2 * half, half);
-        let light = painted(parameters, &grid);
+        let light = painted(parameters, &grid, parameters.observer_yaw_rate());
         let last = (ROOTS - 1) as u16;
         let root = |light: &f32| ((light.max(0.0).sqrt() * ROOT_STEPS) as u16).min(last);
         let mut roots = Vec::with_capacity((grid.width + 1) * (grid.height + 1));
@@ -140,7 +140,7 @@ impl Panorama {
 }
 
 impl Outlook {
-    fn new(tile: &Tile, panorama: usize) -> Self {
+    fn new(tile: &ImageTile, panorama: usize) -> Self {
         let mut places = [[[0; TILE]; 2]; TILE];
         for (row, places) in places.iter_mut().enumerate() {
             for column in tile.seen_in(row) {

@@ -2,30 +2,11 @@
 
 use std::path::PathBuf;
 
+use flockeye_config::SimulatedSun;
 use flockeye_geometry::camera::Camera;
 
-use crate::response::Response;
-use crate::sun::Sun;
-
-/// How finely bodies are drawn before the lens blurs them.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub enum Quality {
-    /// Twice the image's density: a fraction of a frame's time.
-    #[default]
-    Realtime,
-    /// Four times the image's density: for work on accuracy, not in real time.
-    Accurate,
-}
-
-impl Quality {
-    /// Samples of the drawing for each pixel of the image, along a line.
-    pub fn density(self) -> f64 {
-        match self {
-            Self::Realtime => 2.0,
-            Self::Accurate => 4.0,
-        }
-    }
-}
+use crate::response::CameraCurve;
+use crate::sun;
 
 /// A synthetic world: its camera, its light and how its bodies fly.
 #[derive(Debug, Clone, PartialEq)]
@@ -37,7 +18,7 @@ pub struct WorldParameters {
     /// The camera that sees it, in the frame whose origin the bodies' distances count from.
     pub camera: Camera,
     /// The curve between light and code values.
-    pub response: Response,
+    pub response: CameraCurve,
     /// Frames in each second; the middle of frame k's exposure is at k / `frames_per_second`.
     pub frames_per_second: f64,
     /// How long each frame is exposed, seconds.
@@ -49,7 +30,7 @@ pub struct WorldParameters {
     /// them that follows the backdrop and knows nothing of the bodies.
     pub exposure_swing_stops: f64,
     /// Shines on the bodies; `None`: the hall's lamps alone.
-    pub sun: Option<Sun>,
+    pub sun: Option<SimulatedSun>,
     /// Sensitivity: shot noise grows with its root, read noise with itself. 0 is a picture without
     /// noise.
     pub iso: u32,
@@ -76,8 +57,9 @@ pub struct WorldParameters {
     pub speed_m_s: f64,
     /// Whether the bodies sit on drones, and the camera on one, that hide things.
     pub airframes: bool,
-    /// How finely bodies are drawn.
-    pub quality: Quality,
+    /// Samples of a body's drawing for each pixel of the image, along a line, before the lens blurs
+    /// it. 2 takes a fraction of a frame's time; 4 is for work on accuracy, not in real time.
+    pub samples_per_px: f64,
     /// The observer's place in a swarm whose drones all fly in this world; `None`: the bodies fly
     /// round it.
     pub swarm: Option<SwarmPlace>,
@@ -105,7 +87,7 @@ impl Default for WorldParameters {
             paint_folder: None,
             seed: 1,
             camera: Camera::equirectangular(3840, 1920),
-            response: Response::default(),
+            response: CameraCurve::default(),
             frames_per_second: 30.0,
             exposure_s: 0.00625,
             exposure_stops: 0.0,
@@ -122,7 +104,7 @@ impl Default for WorldParameters {
             distance_m: [0.6, 2.0],
             speed_m_s: 0.8,
             airframes: true,
-            quality: Quality::Realtime,
+            samples_per_px: 2.0,
             swarm: None,
         }
     }
@@ -135,111 +117,83 @@ const EXPOSURE_SWING_S: f64 = 2.5;
 impl WorldParameters {
     /// Stops by which the auto-exposure makes a picture brighter at a time than
     /// [`Self::exposure_stops`].
-    pub fn exposure_swing_at(&self, time_s: f64) -> f64 {
+    pub(crate) fn exposure_swing_at(&self, time_s: f64) -> f64 {
         self.exposure_swing_stops * (std::f64::consts::TAU * time_s / EXPOSURE_SWING_S).sin()
     }
 
     /// Everything that is wrong with the values, in words; empty for a world that can be made.
-    pub fn problems(&self) -> Vec<String> {
+    pub(crate) fn problems(&self) -> Vec<String> {
         let mut problems = Vec::new();
-        let mut refuse = |bad: bool, why: String| {
-            if bad {
+        let mut refuse = |(is_bad, why): (bool, String)| {
+            if is_bad {
                 problems.push(why);
             }
         };
-        let within = |value: f64, low: f64, high: f64| value >= low && value <= high;
+        let outside = |name: &str, value: f64, low: f64, high: f64| {
+            (!(low..=high).contains(&value), format!("{name} {value}: must be {low} to {high}"))
+        };
         let Self { frames_per_second: rate, exposure_s, .. } = *self;
         let (width, height) = (self.camera.width(), self.camera.height());
-        refuse(
+        refuse((
             [width, height].iter().any(|side| !(2..=MAX_SIDE).contains(side)),
             format!("size {width}x{height}: both sides must be 2 to {MAX_SIDE} pixels"),
-        );
-        refuse(
-            !within(rate, 0.1, 1000.0),
-            format!("frames_per_second {rate}: must be 0.1 to 1000"),
-        );
-        refuse(
+        ));
+        refuse(outside("frames_per_second", rate, 0.1, 1000.0));
+        refuse((
             !(exposure_s >= 0.0 && exposure_s * rate <= 1.0),
             format!(
                 "exposure_s {exposure_s}: must be 0 to one frame's time, {} s at {rate} frames/s",
                 1.0 / rate
             ),
-        );
-        refuse(
-            !within(self.exposure_stops, -8.0, 8.0),
-            format!("exposure_stops {}: must be -8 to 8", self.exposure_stops),
-        );
-        refuse(
-            !within(self.exposure_swing_stops, 0.0, 4.0),
-            format!("exposure_swing_stops {}: must be 0 to 4", self.exposure_swing_stops),
-        );
+        ));
+        refuse(outside("exposure_stops", self.exposure_stops, -8.0, 8.0));
+        refuse(outside("exposure_swing_stops", self.exposure_swing_stops, 0.0, 4.0));
         for (name, value) in [("read_noise", self.read_noise), ("shot_noise", self.shot_noise)] {
-            refuse(
-                !within(value, 0.0, 1.0),
-                format!("{name} {value}: must be 0 to 1, as a share of full scale"),
-            );
+            let (is_outside, why) = outside(name, value, 0.0, 1.0);
+            refuse((is_outside, format!("{why}, as a share of full scale")));
         }
-        let sun = self.sun.and_then(|sun| sun.problem());
-        refuse(sun.is_some(), sun.unwrap_or_default());
-        let response = self.response.problem();
-        refuse(response.is_some(), response.unwrap_or_default());
-        refuse(self.iso > 102_400, format!("iso {}: must be 0 to 102400", self.iso));
-        refuse(
-            !within(self.lens_blur_px, 0.3, 5.0),
-            format!("lens_blur_px {}: must be 0.3 to 5", self.lens_blur_px),
-        );
-        refuse(
-            !within(self.observer_yaw_rate_deg_s, -360.0, 360.0),
-            format!(
-                "observer_yaw_rate_deg_s {}: must be -360 to 360",
-                self.observer_yaw_rate_deg_s
-            ),
-        );
-        refuse(
-            !within(self.tilt_deg, 0.0, 45.0),
-            format!("tilt_deg {}: must be 0 to 45", self.tilt_deg),
-        );
-        refuse(
-            !within(self.yaw_swing_deg_s, 0.0, 360.0),
-            format!("yaw_swing_deg_s {}: must be 0 to 360", self.yaw_swing_deg_s),
-        );
-        refuse(
+        for problem in [self.sun.and_then(|sun| sun::problem(&sun)), self.response.problem()] {
+            refuse((problem.is_some(), problem.unwrap_or_default()));
+        }
+        refuse((self.iso > 102_400, format!("iso {}: must be 0 to 102400", self.iso)));
+        refuse(outside("lens_blur_px", self.lens_blur_px, 0.3, 5.0));
+        refuse(outside("observer_yaw_rate_deg_s", self.observer_yaw_rate_deg_s, -360.0, 360.0));
+        refuse(outside("tilt_deg", self.tilt_deg, 0.0, 45.0));
+        refuse(outside("yaw_swing_deg_s", self.yaw_swing_deg_s, 0.0, 360.0));
+        refuse((
             !(self.readout_s >= 0.0 && self.readout_s * rate <= 1.0),
             format!("readout_s {}: must be 0 to one frame's time", self.readout_s),
-        );
+        ));
         let [near, far] = self.distance_m;
-        refuse(
+        refuse((
             !(near > 0.0 && near <= far && far <= 100.0),
             format!("distance_m [{near}, {far}]: nearest first, above 0, at most 100 m"),
-        );
-        refuse(
-            !within(self.speed_m_s, 0.0, 20.0),
-            format!("speed_m_s {}: must be 0 to 20", self.speed_m_s),
-        );
+        ));
+        refuse(outside("speed_m_s", self.speed_m_s, 0.0, 20.0));
         if let Some(SwarmPlace { drone, drones, .. }) = self.swarm {
-            refuse(
+            refuse((
                 drone >= drones,
                 format!("drone {drone} of a swarm of {drones}: counted from 0"),
-            );
+            ));
         }
         problems
     }
 
     /// When a frame is exposed, seconds since the middle of frame 0's exposure. Cameras of a swarm
     /// are not synchronized: each is a share of a frame later than the one before it.
-    pub fn time_of(&self, frame: u64) -> f64 {
+    pub(crate) fn time_of(&self, frame: u64) -> f64 {
         let share =
             self.swarm.map_or(0.0, |swarm| f64::from(swarm.drone) / f64::from(swarm.drones));
         (frame as f64 + share) / self.frames_per_second
     }
 
     /// Whether the observer stays level and turns evenly, and all rows are exposed at once.
-    pub fn is_calm(&self) -> bool {
+    pub(crate) fn is_calm(&self) -> bool {
         self.tilt_deg == 0.0 && self.yaw_swing_deg_s == 0.0 && self.readout_s == 0.0
     }
 
     /// Rate at which the observer turns, radians per second.
-    pub fn observer_yaw_rate(&self) -> f64 {
+    pub(crate) fn observer_yaw_rate(&self) -> f64 {
         self.observer_yaw_rate_deg_s.to_radians()
     }
 }
@@ -266,7 +220,7 @@ mod tests {
         assert!(refused(|p| p.frames_per_second = f64::NAN).contains("frames_per_second NaN"));
         let tall = Camera::equirectangular(64, 20_000);
         assert!(refused(|p| p.camera = tall).contains("64x20000: both sides must be 2 to 16384"));
-        assert!(refused(|p| p.response = Response::Table([0.0; 256])).contains("must rise"));
+        assert!(refused(|p| p.response = CameraCurve::Table([0.0; 256])).contains("must rise"));
         assert!(refused(|p| p.exposure_s = 0.05).contains("must be 0 to one frame's time"));
         assert!(refused(|p| p.exposure_s = -0.001).contains("exposure_s -0.001"));
         assert!(refused(|p| p.read_noise = -0.1).contains("read_noise -0.1"));

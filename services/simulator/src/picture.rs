@@ -9,23 +9,22 @@ use crate::density::Density;
 use crate::eyes::Eye;
 use crate::moment::Placement;
 use crate::parameters::WorldParameters;
-use crate::scene::Scene;
-use crate::sensor::Sensor;
+use crate::scene::FrameScene;
+use crate::sensor::ImageSensor;
 use crate::sphere_picture::SpherePicture;
 use crate::tiled_picture::TiledPicture;
 
 /// The image of a camera, with what is the same in all its frames.
 #[derive(Debug)]
-pub(crate) enum Picture {
+pub(crate) enum CameraPicture {
     /// Equirectangular and twice as wide as high: rows are turned and copied.
     Sphere(SpherePicture),
     /// The image of any camera: pixels are looked up.
     Tiled(TiledPicture),
 }
 
-impl Picture {
-    /// The image of the world's camera, seen by its `eyes`.
-    pub(crate) fn new(parameters: &WorldParameters, eyes: &[Eye], sensor: &Sensor) -> Self {
+impl CameraPicture {
+    pub(crate) fn new(parameters: &WorldParameters, eyes: &[Eye], sensor: &ImageSensor) -> Self {
         let camera = &parameters.camera;
         let is_sphere = matches!(camera.model(), CameraModel::Equirectangular { .. })
             && camera.width() == 2 * camera.height();
@@ -39,8 +38,8 @@ impl Picture {
     /// Writes the levels of a frame, rows `stride` bytes apart.
     pub(crate) fn expose(
         &mut self,
-        scene: Scene<'_>,
-        sensor: &Sensor,
+        scene: FrameScene<'_>,
+        sensor: &ImageSensor,
         luma: &mut [u8],
         stride: usize,
     ) {

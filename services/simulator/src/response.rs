@@ -5,17 +5,17 @@ use flockeye_imaging::light::TransferCurve;
 /// How a camera encodes light.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[expect(clippy::large_enum_variant, reason = "a world has one, and it is copied seldom")]
-pub enum Response {
+pub enum CameraCurve {
     /// By a curve with a name.
     Curve(TransferCurve),
     /// As measured: the light of each code, rising to 1.
     Table([f32; 256]),
 }
 
-impl Response {
+impl CameraCurve {
     /// Linear light, as a share of full scale, that `level` stands for. The sRGB curve is that of
     /// IEC 61966-2-1.
-    pub fn light(&self, level: u8) -> f32 {
+    pub(crate) fn light(&self, level: u8) -> f32 {
         let encoded = f32::from(level) / 255.0;
         match self {
             Self::Curve(TransferCurve::Srgb) if encoded <= 0.040_45 => encoded / 12.92,
@@ -27,7 +27,7 @@ impl Response {
     }
 
     /// Value from 0 to 1 that stands for linear light from 0 to 1, before it is rounded to a level.
-    pub fn encoded(&self, light: f32) -> f32 {
+    pub(crate) fn encoded(&self, light: f32) -> f32 {
         match self {
             Self::Curve(TransferCurve::Srgb) if light <= 0.003_130_8 => light * 12.92,
             Self::Curve(TransferCurve::Srgb) => 1.055 * light.powf(1.0 / 2.4) - 0.055,
@@ -45,7 +45,7 @@ impl Response {
     }
 
     /// What is wrong with it, in words.
-    pub fn problem(&self) -> Option<String> {
+    pub(crate) fn problem(&self) -> Option<String> {
         match self {
             Self::Curve(TransferCurve::Gamma(gamma)) if !(0.1..=10.0).contains(gamma) => {
                 Some(format!("a gamma of {gamma}: must be 0.1 to 10"))
@@ -62,7 +62,7 @@ impl Response {
     }
 }
 
-impl Default for Response {
+impl Default for CameraCurve {
     fn default() -> Self {
         Self::Curve(TransferCurve::Srgb)
     }
@@ -79,7 +79,7 @@ mod tests {
     fn every_curve_is_what_imaging_undoes() {
         for curve in [TransferCurve::Srgb, TransferCurve::Gamma(2.2), TransferCurve::Linear] {
             let undone = LinearLight::new(curve, CodeRange::Full).unwrap();
-            for response in [Response::Curve(curve), Response::Table(*undone.table())] {
+            for response in [CameraCurve::Curve(curve), CameraCurve::Table(*undone.table())] {
                 for level in 0..=255 {
                     let light = undone.of(level);
                     assert!((response.light(level) - light).abs() < 1e-6, "{response:?}");
@@ -89,13 +89,13 @@ mod tests {
             }
         }
         // A value of the standard: half of full scale is 0.735 encoded.
-        assert!((Response::default().encoded(0.5) - 0.735_36).abs() < 1e-5);
+        assert!((CameraCurve::default().encoded(0.5) - 0.735_36).abs() < 1e-5);
     }
 
     #[test]
     fn a_table_goes_on_straight_between_codes_and_ends_at_its_ends() {
         let table = std::array::from_fn(|code| 0.01 + code as f32 / 300.0);
-        let response = Response::Table(table);
+        let response = CameraCurve::Table(table);
         assert_eq!(response.problem(), None);
         assert!((response.encoded((table[7] + table[8]) / 2.0) * 255.0 - 7.5).abs() < 1e-3);
         assert_eq!((response.encoded(0.0), response.encoded(1.0)), (0.0, 1.0));
@@ -103,8 +103,8 @@ mod tests {
 
     #[test]
     fn what_does_not_rise_is_no_response() {
-        assert!(Response::Table([0.5; 256]).problem().is_some());
-        assert!(Response::Table([f32::NAN; 256]).problem().is_some());
-        assert!(Response::Curve(TransferCurve::Gamma(f32::NAN)).problem().is_some());
+        assert!(CameraCurve::Table([0.5; 256]).problem().is_some());
+        assert!(CameraCurve::Table([f32::NAN; 256]).problem().is_some());
+        assert!(CameraCurve::Curve(TransferCurve::Gamma(f32::NAN)).problem().is_some());
     }
 }

@@ -1,14 +1,5 @@
 //! When which frame is exposed, drawn and handed over.
 
-/// A frame to be drawn.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) struct Due {
-    /// Its number.
-    pub frame: u64,
-    /// Frames before it that cannot be drawn in time.
-    pub skipped: u64,
-}
-
 /// When a frame is exposed and given away, nanoseconds of CLOCK_MONOTONIC.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Times {
@@ -30,7 +21,7 @@ const FORGETTING: f64 = 0.97;
 /// handed over when its exposure ends: a camera's picture is there then. So frames are drawn
 /// before. One that would come when the next one should be there is left out.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Schedule {
+pub(crate) struct ExposureSchedule {
     start_ns: i64,
     period_ns: f64,
     half_exposure_ns: i64,
@@ -39,7 +30,7 @@ pub(crate) struct Schedule {
     next: u64,
 }
 
-impl Schedule {
+impl ExposureSchedule {
     /// The middle of frame 0's exposure was at `start_ns`; `half_exposure_ns` later it was handed
     /// over.
     pub(crate) fn new(start_ns: i64, frames_per_second: f64, half_exposure_ns: i64) -> Self {
@@ -86,15 +77,15 @@ impl Schedule {
         drawn_ns.saturating_sub(self.drawing_ns as i64)
     }
 
-    /// The frame to draw now: the next one, or, where it is late, the newest that should be there
-    /// once it is drawn.
-    pub(crate) fn draw(&mut self, now_ns: i64) -> Due {
+    /// The frame to draw now, and how many before it cannot be drawn in time. It is the next one,
+    /// or, where that is late, the newest that should be there once it is drawn.
+    pub(crate) fn draw(&mut self, now_ns: i64) -> (u64, u64) {
         let drawn_ns = now_ns + self.drawing_ns as i64;
         let elapsed = (drawn_ns - self.times(0).handover_ns) as f64 / self.period_ns;
         let frame = (elapsed.floor() as u64).max(self.next);
         let skipped = frame - self.next;
         self.next = frame + 1;
-        Due { frame, skipped }
+        (frame, skipped)
     }
 
     /// Takes note of how long a frame took to draw. At most a period is expected of the next one.
@@ -109,7 +100,7 @@ mod tests {
 
     #[test]
     fn frames_are_there_when_their_exposure_ends() {
-        let schedule = Schedule::new(1_000, 1e8, 2);
+        let schedule = ExposureSchedule::new(1_000, 1e8, 2);
         let times = Times { exposure_ns: 1_010, handover_ns: 1_012, next_ns: 1_022 };
         assert_eq!(schedule.times(1), times);
         let last = schedule.times(u64::MAX);
@@ -118,40 +109,40 @@ mod tests {
 
     #[test]
     fn they_are_drawn_one_after_the_other_however_early() {
-        let mut schedule = Schedule::new(0, 1e8, 2);
+        let mut schedule = ExposureSchedule::new(0, 1e8, 2);
         for frame in 1..9 {
             schedule.drew(5);
             assert_eq!(schedule.begin_ns(0), schedule.times(frame).handover_ns - 5);
             let two_before = schedule.times(frame.saturating_sub(2));
             assert_eq!(schedule.begin_ns(2), two_before.handover_ns - 5);
-            assert_eq!(schedule.draw(3), Due { frame, skipped: 0 });
+            assert_eq!(schedule.draw(3), (frame, 0));
         }
     }
 
     #[test]
     fn who_joins_begins_with_the_next_frame_and_has_left_none_out() {
         let joined_at = |now_ns| {
-            let mut schedule = Schedule::joining(1_000, 1e8, 2, now_ns);
+            let mut schedule = ExposureSchedule::joining(1_000, 1e8, 2, now_ns);
             schedule.draw(now_ns)
         };
-        assert_eq!(joined_at(0), Due { frame: 0, skipped: 0 }, "before its start");
-        assert_eq!(joined_at(1_033), Due { frame: 4, skipped: 0 });
+        assert_eq!(joined_at(0), (0, 0), "before its start");
+        assert_eq!(joined_at(1_033), (4, 0));
     }
 
     #[test]
     fn who_is_late_leaves_frames_out() {
-        let mut schedule = Schedule::new(0, 1e8, 0);
-        assert_eq!(schedule.draw(35), Due { frame: 3, skipped: 2 });
+        let mut schedule = ExposureSchedule::new(0, 1e8, 0);
+        assert_eq!(schedule.draw(35), (3, 2));
         schedule.drew(8);
         // Drawn by 49, before the next one should be there; then by 65, which is too late for 5.
-        assert_eq!(schedule.draw(41), Due { frame: 4, skipped: 0 });
-        assert_eq!(schedule.draw(57), Due { frame: 6, skipped: 1 });
+        assert_eq!(schedule.draw(41), (4, 0));
+        assert_eq!(schedule.draw(57), (6, 1));
         // Quicker for once: it is not believed at once.
         schedule.drew(1);
-        assert_eq!(schedule.draw(83), Due { frame: 9, skipped: 2 });
+        assert_eq!(schedule.draw(83), (9, 2));
         (0..200).for_each(|_| schedule.drew(1));
-        assert_eq!(schedule.draw(103), Due { frame: 10, skipped: 0 });
+        assert_eq!(schedule.draw(103), (10, 0));
         schedule.drew(1_000);
-        assert_eq!(schedule.draw(103), Due { frame: 11, skipped: 0 }, "one period at most");
+        assert_eq!(schedule.draw(103), (11, 0), "one period at most");
     }
 }

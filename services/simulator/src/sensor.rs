@@ -5,7 +5,7 @@ use rand::{RngExt, SeedableRng};
 use rand_distr::StandardNormal;
 
 use crate::parameters::WorldParameters;
-use crate::response::Response;
+use crate::response::CameraCurve;
 use crate::scatter::mix;
 
 /// Steps of the table from the root of light to the encoded level: fine enough that rounding to
@@ -22,12 +22,12 @@ const NOISE_SHIFT: i16 = 9;
 
 /// A camera's sensor and encoder.
 #[derive(Debug)]
-pub(crate) struct Sensor {
+pub(crate) struct ImageSensor {
     decode: [f32; 256],
     encode: Vec<u8>,
     shot_variance: f32,
     read_variance: f32,
-    response: Response,
+    response: CameraCurve,
     /// What the sensor makes of light 1: 2 if it is exposed twice as long as it should be.
     gain: f32,
     sigma_of_level: [u8; 256],
@@ -38,8 +38,7 @@ pub(crate) struct Sensor {
     seed: u64,
 }
 
-impl Sensor {
-    /// The sensor of a world.
+impl ImageSensor {
     pub(crate) fn new(parameters: &WorldParameters) -> Self {
         let response = parameters.response;
         let gain = f64::from(parameters.iso) / 100.0;
@@ -80,7 +79,7 @@ impl Sensor {
         self.encode[step.min(ENCODING_STEPS - 1)]
     }
 
-    /// Noise at a level, as [`Sensor::expose`] takes it.
+    /// Noise at a level, as [`ImageSensor::expose`] takes it.
     pub(crate) fn sigma(&self, level: u8) -> u8 {
         self.sigma_of_level[usize::from(level)]
     }
@@ -158,8 +157,8 @@ mod tests {
 
     use super::*;
 
-    fn sensor(iso: u32) -> Sensor {
-        Sensor::new(&WorldParameters { iso, ..Default::default() })
+    fn sensor(iso: u32) -> ImageSensor {
+        ImageSensor::new(&WorldParameters { iso, ..Default::default() })
     }
 
     #[test]
@@ -174,7 +173,7 @@ mod tests {
     #[test]
     fn a_picture_that_is_exposed_longer_is_brighter_and_clips() {
         let exposed = |exposure_stops: f64| {
-            Sensor::new(&WorldParameters { exposure_stops, ..Default::default() })
+            ImageSensor::new(&WorldParameters { exposure_stops, ..Default::default() })
         };
         let (usual, longer) = (exposed(0.0), exposed(2.0));
         assert_eq!(longer.level(0.1), usual.level(0.4));
@@ -188,7 +187,7 @@ mod tests {
     fn an_auto_exposure_brightens_light_and_clips_it() {
         let mut sensor = sensor(0);
         let levels = [sensor.level(0.1), sensor.level(0.3), sensor.level(0.0)];
-        let exposed = |sensor: &Sensor| {
+        let exposed = |sensor: &ImageSensor| {
             let mut out = vec![0; 3];
             sensor.expose(0, 0, 0, &levels, &[0; 3], &mut out);
             out
@@ -206,9 +205,9 @@ mod tests {
     #[test]
     fn levels_survive_with_every_response() {
         let table = std::array::from_fn(|code| (code as f32 / 255.0).powf(1.7));
-        let curves = [TransferCurve::Gamma(2.2), TransferCurve::Linear].map(Response::Curve);
-        for response in curves.into_iter().chain([Response::Table(table)]) {
-            let sensor = Sensor::new(&WorldParameters { response, ..Default::default() });
+        let curves = [TransferCurve::Gamma(2.2), TransferCurve::Linear].map(CameraCurve::Curve);
+        for response in curves.into_iter().chain([CameraCurve::Table(table)]) {
+            let sensor = ImageSensor::new(&WorldParameters { response, ..Default::default() });
             for level in 0..=255 {
                 assert_eq!(sensor.level(sensor.light(level)), level, "{response:?}");
             }

@@ -9,14 +9,10 @@ use flockeye_dictionary::Dictionary;
 use flockeye_geometry::body::Bodies;
 
 use crate::parameters::SwarmPlace;
-use crate::sun::Sun;
-use crate::{Response, World, WorldParameters};
+use crate::{CameraCurve, World, WorldParameters};
 
 /// The world, and the bodies that fly in it. Its painted panorama is kept in `paint_folder` for the
 /// next process.
-///
-/// # Errors
-/// As [`flying_bodies`] and [`parameters`]; a world that cannot be made.
 pub(crate) fn world(
     resolved: &Resolved,
     paint_folder: &Path,
@@ -57,9 +53,9 @@ pub fn flying_bodies(resolved: &Resolved) -> anyhow::Result<Option<Bodies>> {
 pub fn parameters(resolved: &Resolved) -> anyhow::Result<WorldParameters> {
     let (settings, usual) = (&resolved.pipeline.simulator, WorldParameters::default());
     let (transfer, gamma) = resolved.transfer;
-    let curve = transfer_curve(transfer, gamma).map(Response::Curve);
+    let curve = transfer_curve(transfer, gamma).map(CameraCurve::Curve);
     let response = curve
-        .or(resolved.measured_response.map(Response::Table))
+        .or(resolved.measured_response.map(CameraCurve::Table))
         .context("camera.response: a table was not measured")?;
     Ok(WorldParameters {
         seed: u64::from(settings.seed),
@@ -69,12 +65,7 @@ pub fn parameters(resolved: &Resolved) -> anyhow::Result<WorldParameters> {
         exposure_s: settings.exposure_ms * 1e-3,
         exposure_stops: settings.exposure_stops,
         exposure_swing_stops: settings.exposure_swing_stops,
-        sun: settings.sun.map(|sun| Sun {
-            ratio: sun.ratio,
-            elevation_deg: sun.elevation_deg,
-            azimuth_deg: sun.azimuth_deg,
-            stripes_m: sun.stripes_m,
-        }),
+        sun: settings.sun,
         read_noise: usual.read_noise * settings.noise,
         shot_noise: usual.shot_noise * settings.noise,
         observer_yaw_rate_deg_s: settings.yaw_deg_s,
@@ -94,7 +85,7 @@ pub fn parameters(resolved: &Resolved) -> anyhow::Result<WorldParameters> {
 }
 
 /// What flies, for people.
-pub fn in_words(settings: &Simulator) -> String {
+pub(crate) fn in_words(settings: &Simulator) -> String {
     let Simulator { neighbours, frames_per_second, seed, swarm, .. } = settings;
     let place = swarm.map(|swarm| format!(", drone {} of a swarm", swarm.drone));
     let place = place.unwrap_or_default();

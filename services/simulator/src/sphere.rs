@@ -5,9 +5,7 @@ use std::f64::consts::{FRAC_PI_2, PI, TAU};
 /// The grid of an equirectangular image: what is needed again and again is tabulated.
 #[derive(Debug)]
 pub(crate) struct SphereGrid {
-    /// Columns.
     pub width: usize,
-    /// Rows.
     pub height: usize,
     /// Cosine and sine of each column's longitude.
     pub columns: Vec<[f32; 2]>,
@@ -15,29 +13,7 @@ pub(crate) struct SphereGrid {
     pub rows: Vec<[f32; 2]>,
 }
 
-/// Columns of one row, perhaps over the seam: `first` may lie outside of the image, and counts
-/// modulo its width.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) struct Span {
-    /// First column.
-    pub first: i64,
-    /// How many.
-    pub count: usize,
-}
-
-impl Span {
-    /// The one or two runs of columns inside the image, as (first, end).
-    pub(crate) fn runs(self, width: usize) -> impl Iterator<Item = (usize, usize)> {
-        let first = self.first.rem_euclid(width as i64) as usize;
-        let end = first + self.count.min(width);
-        [(first, end.min(width)), (0, end.saturating_sub(width))]
-            .into_iter()
-            .filter(|(first, end)| first < end)
-    }
-}
-
 impl SphereGrid {
-    /// The grid of an image of this size.
     pub(crate) fn new(width: usize, height: usize) -> Self {
         let pair = |angle: f64| [angle.cos() as f32, angle.sin() as f32];
         let longitude = |column: usize| PI - (column as f64 + 0.5) * TAU / width as f64;
@@ -58,32 +34,43 @@ impl SphereGrid {
         first..end
     }
 
-    /// Columns of `row` that lie in the circle of `radius` radians round a direction: all of them
-    /// where the circle has a pole in it and the row is near that.
-    pub(crate) fn span_of_circle(
+    /// The one or two runs of columns of `row`, as (first, end), that lie in the circle of `radius`
+    /// radians round a direction: all of them where the circle has a pole in it and the row is near
+    /// that.
+    pub(crate) fn runs_of_circle(
         &self,
         row: usize,
         longitude: f64,
         latitude: f64,
         radius: f64,
-    ) -> Span {
-        let whole = Span { first: 0, count: self.width };
+    ) -> impl Iterator<Item = (usize, usize)> + use<> {
+        let whole = || self.runs(0, self.width);
         let [cos_row, sin_row] = self.rows[row].map(f64::from);
         let across = cos_row * latitude.cos();
         // Spherical law of cosines, solved for the difference of longitudes.
         let cosine = (radius.cos() - sin_row * latitude.sin()) / across;
         if across < 1e-9 || cosine <= -1.0 {
-            return whole;
+            return whole();
         }
         let half = cosine.min(1.0).acos() * self.width as f64 / TAU;
         let middle = (PI - longitude) / TAU * self.width as f64 - 0.5;
         let first = (middle - half).floor() as i64;
         let end = (middle + half).ceil() as i64 + 1;
         if end - first >= self.width as i64 {
-            whole
+            whole()
         } else {
-            Span { first, count: (end - first) as usize }
+            self.runs(first, (end - first) as usize)
         }
+    }
+
+    /// `count` columns from `first`, which may lie outside of the image, and counts modulo its width.
+    fn runs(&self, first: i64, count: usize) -> impl Iterator<Item = (usize, usize)> + use<> {
+        let width = self.width;
+        let first = first.rem_euclid(width as i64) as usize;
+        let end = first + count.min(width);
+        [(first, end.min(width)), (0, end.saturating_sub(width))]
+            .into_iter()
+            .filter(|(first, end)| first < end)
     }
 }
 
@@ -111,8 +98,8 @@ mod tests {
                 let in_rows = grid.rows_of_circle(latitude, radius).contains(&row);
                 let mut covered = vec![false; grid.width];
                 if in_rows {
-                    let span = grid.span_of_circle(row, longitude, latitude, radius);
-                    span.runs(grid.width).for_each(|(a, b)| covered[a..b].fill(true));
+                    grid.runs_of_circle(row, longitude, latitude, radius)
+                        .for_each(|(a, b)| covered[a..b].fill(true));
                 }
                 for (column, covered) in covered.into_iter().enumerate() {
                     let ray = camera.ray(SpherePixel::new(column as f64, row as f64));

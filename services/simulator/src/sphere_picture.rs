@@ -11,10 +11,10 @@ use crate::backdrop::Backdrop;
 use crate::cube::CubeBackdrop;
 use crate::density::Density;
 use crate::eyes::Eye;
-use crate::own_airframe::OwnAirframe;
+use crate::own_airframe::AirframeCover;
 use crate::parameters::WorldParameters;
-use crate::scene::Scene;
-use crate::sensor::Sensor;
+use crate::scene::FrameScene;
+use crate::sensor::ImageSensor;
 use crate::sphere::SphereGrid;
 
 /// The grid and all that lies still on it.
@@ -22,7 +22,7 @@ use crate::sphere::SphereGrid;
 pub(crate) struct SpherePicture {
     grid: SphereGrid,
     backdrop: Behind,
-    own_airframe: Option<OwnAirframe>,
+    own_airframe: Option<AirframeCover>,
     parts: Vec<SpherePart>,
     /// Levels and sigmas of a row, in gusts of the whole image: kept from frame to frame for their
     /// memory alone.
@@ -30,7 +30,6 @@ pub(crate) struct SpherePicture {
     sigmas: Vec<u8>,
 }
 
-/// What is behind the bodies.
 #[derive(Debug)]
 enum Behind {
     /// For a level observer that turns evenly: rows are turned and copied.
@@ -66,7 +65,7 @@ impl SpherePart {
 
 impl SpherePicture {
     /// The image of the world's camera, which is twice as wide as high.
-    pub(crate) fn new(parameters: &WorldParameters, eyes: &[Eye], sensor: &Sensor) -> Self {
+    pub(crate) fn new(parameters: &WorldParameters, eyes: &[Eye], sensor: &ImageSensor) -> Self {
         let camera = &parameters.camera;
         let grid = SphereGrid::new(camera.width() as usize, camera.height() as usize);
         let room = if parameters.is_calm() { grid.width } else { grid.width * grid.height };
@@ -77,7 +76,7 @@ impl SpherePicture {
             },
             own_airframe: parameters
                 .airframes
-                .then(|| OwnAirframe::new(&grid, parameters.lens_blur_px, sensor)),
+                .then(|| AirframeCover::new(&grid, parameters.lens_blur_px, sensor)),
             parts: eyes.iter().map(|eye| SpherePart::new(eye, &grid)).collect(),
             levels: vec![0; room],
             sigmas: vec![0; room],
@@ -97,8 +96,8 @@ impl SpherePicture {
     /// Lays the layers over each other, row by row, and adds the noise.
     pub(crate) fn expose(
         &mut self,
-        scene: Scene<'_>,
-        sensor: &Sensor,
+        scene: FrameScene<'_>,
+        sensor: &ImageSensor,
         luma: &mut [u8],
         stride: usize,
     ) {
@@ -108,8 +107,11 @@ impl SpherePicture {
         if let Behind::Gusty(backdrop) = &self.backdrop {
             backdrop.fill(&self.grid, &scene.camera, &mut self.levels, &mut self.sigmas);
         }
-        let layers: Vec<_> =
-            scene.layers.iter().map(|layer| (layer, layer.drawing.rows(&self.grid))).collect();
+        let layers: Vec<_> = scene
+            .layers
+            .iter()
+            .map(|&(eye, drawing)| (eye, drawing, drawing.rows(&self.grid)))
+            .collect();
         for (row, out) in luma.chunks_mut(stride).take(self.grid.height).enumerate() {
             let out = &mut out[..width];
             let own_airframe = self.own_airframe.as_ref().filter(|own| own.touches(row));
@@ -121,7 +123,8 @@ impl SpherePicture {
             let sigmas = &mut self.sigmas[place];
             if let Behind::Calm(backdrop) = &self.backdrop {
                 let [left, right] = backdrop.row(row, shift);
-                if own_airframe.is_none() && layers.iter().all(|(_, rows)| !rows.contains(&row)) {
+                if own_airframe.is_none() && layers.iter().all(|(_, _, rows)| !rows.contains(&row))
+                {
                     let (out_left, out_right) = out.split_at_mut(shift);
                     sensor.expose(scene.frame, row, 0, left.0, left.1, out_left);
                     sensor.expose(scene.frame, row, shift, right.0, right.1, out_right);
@@ -132,9 +135,9 @@ impl SpherePicture {
                 sigmas[..shift].copy_from_slice(left.1);
                 sigmas[shift..].copy_from_slice(right.1);
             }
-            for (layer, _) in layers.iter().filter(|(_, rows)| rows.contains(&row)) {
-                let columns = &self.parts[layer.eye].columns;
-                layer.drawing.draw_row(row, columns, &self.grid, sensor, levels, sigmas);
+            for (eye, drawing, _) in layers.iter().filter(|(_, _, rows)| rows.contains(&row)) {
+                let columns = &self.parts[*eye].columns;
+                drawing.draw_row(row, columns, &self.grid, sensor, levels, sigmas);
             }
             if let Some(own_airframe) = own_airframe {
                 own_airframe.draw_row(row, sensor, levels, sigmas);

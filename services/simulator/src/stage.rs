@@ -10,31 +10,24 @@ use flockeye_runtime::{Context, Stage, Step, clock};
 
 use crate::World;
 use crate::ahead::{AheadDrawer, DrawnFrame};
-use crate::core::{Action, Core, FrameMessages};
+use crate::core::{Action, Core, PictureMessages};
 use crate::settings::{in_words, world};
 
 /// Takes nothing (in a lossless run: plans, as credits); gives frames and their truth, and samples
 /// of an inertial sensor if they are asked for.
 pub(crate) struct SimulatorStage {
     frames: Publisher<Frames>,
-    side: SidePorts,
+    truths: Publisher<Truths>,
+    imus: Option<Publisher<Imus>>,
     credits: Credits,
     core: Core,
     drawer: Drawer,
     counters: SharedCounters,
 }
 
-/// The ports of what is sent before a frame.
-struct SidePorts {
-    truths: Publisher<Truths>,
-    imus: Option<Publisher<Imus>>,
-}
-
-/// What draws.
 enum Drawer {
     /// This stage, when a frame is asked for: a lossless run.
     OnDemand(Box<World>),
-    /// A thread of its own.
     Ahead(AheadDrawer),
 }
 
@@ -51,13 +44,14 @@ impl Stage for SimulatorStage {
         let drawer = match pipeline.flow() {
             Flow::Lossless => Drawer::OnDemand(Box::new(world)),
             Flow::Latest => {
-                let ahead = AheadDrawer::start(world, core.last_frame());
+                let ahead = AheadDrawer::start(world, core.last_frame);
                 Drawer::Ahead(ahead.context("a thread that draws")?)
             }
         };
         Ok(Self {
             frames: ports.publisher()?,
-            side: SidePorts { truths: ports.side_publisher()?, imus },
+            truths: ports.side_publisher()?,
+            imus,
             credits: Credits::open(pipeline, ports)?,
             core,
             drawer,
@@ -104,7 +98,7 @@ impl SimulatorStage {
         let now_ns = clock::monotonic_ns();
         self.counters.add_latency_ns(now_ns - begun_ns);
         let messages = self.core.messages(&truth, None, now_ns);
-        self.side.send(loan, &messages)?;
+        send(loan, &messages, &self.truths, self.imus.as_ref())?;
         self.credits.note_sent(messages.frame.stamp);
         Ok(())
     }
@@ -117,7 +111,7 @@ impl SimulatorStage {
         std::thread::sleep(clock::until(times.handover_ns, clock::monotonic_ns()));
         let exposure_ns = Some(times.exposure_ns);
         let messages = self.core.messages(&drawn.truth, exposure_ns, clock::monotonic_ns());
-        self.side.send(loan, &messages)?;
+        send(loan, &messages, &self.truths, self.imus.as_ref())?;
         self.reuse(drawn);
         Ok(())
     }
@@ -132,17 +126,20 @@ impl SimulatorStage {
     }
 }
 
-impl SidePorts {
-    /// Sends a frame's messages, the picture last: whoever has a track of it has the truth too, and
-    /// egomotion has the samples.
-    fn send(&self, loan: Loan<'_, Frames>, messages: &FrameMessages) -> anyhow::Result<()> {
-        if let (Some(imus), Some((header, samples))) = (&self.imus, &messages.inertial) {
-            for samples in samples.chunks(MAX_IMU_SAMPLES) {
-                imus.send(*header, samples)?;
-            }
+/// Sends a frame's messages, the picture last: whoever has a track of it has the truth too, and
+/// egomotion has the samples.
+fn send(
+    loan: Loan<'_, Frames>,
+    messages: &PictureMessages,
+    truths: &Publisher<Truths>,
+    imus: Option<&Publisher<Imus>>,
+) -> anyhow::Result<()> {
+    if let (Some(imus), Some((header, samples))) = (imus, &messages.inertial) {
+        for samples in samples.chunks(MAX_IMU_SAMPLES) {
+            imus.send(*header, samples)?;
         }
-        let (header, bodies) = &messages.truth;
-        self.truths.send(*header, bodies)?;
-        Ok(loan.send(messages.frame)?)
     }
+    let (header, bodies) = &messages.truth;
+    truths.send(*header, bodies)?;
+    Ok(loan.send(messages.frame)?)
 }

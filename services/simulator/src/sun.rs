@@ -6,36 +6,25 @@
 //! stand still in the world: they cross markers, and their edges lie anywhere on them. Bodies cast
 //! no shadows themselves.
 
+use flockeye_config::SimulatedSun;
 use nalgebra::{Isometry3, Point3, Vector3};
-
-/// A sun as the configuration asks for it.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Sun {
-    /// How many times brighter a surface is that faces it than the same one in the shade.
-    pub ratio: f64,
-    /// Its height above the horizon, degrees.
-    pub elevation_deg: f64,
-    /// Its direction in the world, counterclockwise from x, degrees.
-    pub azimuth_deg: f64,
-    /// Width of a stripe of sun and of the shadow beside it together, metres; 0: no shadows.
-    pub stripes_m: f64,
-}
 
 /// Stripes of sun on what a body shows, in the body's own frame.
 #[derive(Debug, Clone, Copy)]
-pub struct Sunlight {
+pub(crate) struct Sunlight {
     towards_sun: Vector3<f64>,
     /// Across the stripes: a point's place among them is `across.dot(point) + offset`, in stripes.
     across: Vector3<f64>,
     offset: f64,
     has_stripes: bool,
-    shade: f64,
+    /// Share of a surface's full light that it has without the sun.
+    pub(crate) shade: f64,
 }
 
-impl Sun {
-    /// Its light on a body whose pose in the world this is.
-    pub fn on(&self, world_from_body: &Isometry3<f64>) -> Sunlight {
-        let (elevation, azimuth) = (self.elevation_deg.to_radians(), self.azimuth_deg.to_radians());
+impl Sunlight {
+    /// The light of a sun on a body whose pose in the world this is.
+    pub(crate) fn on(sun: &SimulatedSun, world_from_body: &Isometry3<f64>) -> Self {
+        let (elevation, azimuth) = (sun.elevation_deg.to_radians(), sun.azimuth_deg.to_radians());
         let towards = Vector3::new(
             elevation.cos() * azimuth.cos(),
             elevation.cos() * azimuth.sin(),
@@ -45,52 +34,47 @@ impl Sun {
         let level = Vector3::new(-azimuth.sin(), azimuth.cos(), 0.0);
         let across = (level + towards.cross(&level)).normalize();
         let body_from_world = world_from_body.rotation.inverse();
-        let per_metre = if self.stripes_m > 0.0 { 1.0 / self.stripes_m } else { 0.0 };
-        Sunlight {
+        let per_metre = if sun.stripes_m > 0.0 { 1.0 / sun.stripes_m } else { 0.0 };
+        Self {
             towards_sun: body_from_world * towards,
             across: body_from_world * across * per_metre,
             offset: across.dot(&world_from_body.translation.vector) * per_metre,
-            has_stripes: self.stripes_m > 0.0,
-            shade: 1.0 / self.ratio,
+            has_stripes: sun.stripes_m > 0.0,
+            shade: 1.0 / sun.ratio,
         }
-    }
-
-    /// What is wrong with it.
-    pub fn problem(&self) -> Option<String> {
-        let Self { ratio, elevation_deg, azimuth_deg, stripes_m } = *self;
-        let rules = [
-            ("ratio", ratio, (1.0..=100.0).contains(&ratio), "1 to 100"),
-            ("elevation_deg", elevation_deg, (-90.0..=90.0).contains(&elevation_deg), "-90 to 90"),
-            ("azimuth_deg", azimuth_deg, (-360.0..=360.0).contains(&azimuth_deg), "-360 to 360"),
-            (
-                "stripes_m",
-                stripes_m,
-                stripes_m == 0.0 || (MIN_STRIPES_M..=100.0).contains(&stripes_m),
-                "0, or 0.005 to 100",
-            ),
-        ];
-        let broken = rules.iter().find(|(_, _, holds, _)| !holds);
-        broken.map(|(name, value, _, allowed)| format!("sun.{name} {value}: must be {allowed}"))
     }
 }
 
 /// Narrower stripes are finer than any picture, metres.
 const MIN_STRIPES_M: f64 = 0.005;
 
-impl Sunlight {
-    /// Share of a surface's full light that it has without the sun.
-    pub fn shade(&self) -> f64 {
-        self.shade
-    }
+/// What is wrong with a sun as the configuration asks for it.
+pub(crate) fn problem(sun: &SimulatedSun) -> Option<String> {
+    let SimulatedSun { ratio, elevation_deg, azimuth_deg, stripes_m } = *sun;
+    let rules = [
+        ("ratio", ratio, (1.0..=100.0).contains(&ratio), "1 to 100"),
+        ("elevation_deg", elevation_deg, (-90.0..=90.0).contains(&elevation_deg), "-90 to 90"),
+        ("azimuth_deg", azimuth_deg, (-360.0..=360.0).contains(&azimuth_deg), "-360 to 360"),
+        (
+            "stripes_m",
+            stripes_m,
+            stripes_m == 0.0 || (MIN_STRIPES_M..=100.0).contains(&stripes_m),
+            "0, or 0.005 to 100",
+        ),
+    ];
+    let broken = rules.iter().find(|(_, _, holds, _)| !holds);
+    broken.map(|(name, value, _, allowed)| format!("sun.{name} {value}: must be {allowed}"))
+}
 
+impl Sunlight {
     /// Share of its full light that the sun adds to a surface with this normal; 0 if it does not
     /// reach it.
-    pub fn added(&self, normal: &Vector3<f64>) -> f64 {
+    pub(crate) fn added(&self, normal: &Vector3<f64>) -> f64 {
         (1.0 - self.shade) * normal.dot(&self.towards_sun).max(0.0)
     }
 
     /// The parts of a convex polygon that the sun reaches.
-    pub fn reaches(&self, corners: &[Point3<f64>]) -> Vec<Vec<Point3<f64>>> {
+    pub(crate) fn reaches(&self, corners: &[Point3<f64>]) -> Vec<Vec<Point3<f64>>> {
         if !self.has_stripes {
             return vec![corners.to_vec()];
         }
@@ -133,7 +117,8 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    const SUN: Sun = Sun { ratio: 4.0, elevation_deg: 15.0, azimuth_deg: 40.0, stripes_m: 0.03 };
+    const SUN: SimulatedSun =
+        SimulatedSun { ratio: 4.0, elevation_deg: 15.0, azimuth_deg: 40.0, stripes_m: 0.03 };
 
     fn area(polygon: &[Point3<f64>]) -> f64 {
         let twice = (1..polygon.len() - 1)
@@ -157,7 +142,7 @@ mod tests {
             at in prop::array::uniform3(-2.0..2.0f64),
         ) {
             let pose = Isometry3::new(Vector3::from(at), Vector3::from(turn));
-            let light = SUN.on(&pose);
+            let light = Sunlight::on(&SUN, &pose);
             let whole = square(2.0);
             let lit: f64 = light.reaches(&whole).iter().map(|part| area(part)).sum();
             // Unless it is seen along the stripes.
@@ -172,11 +157,11 @@ mod tests {
             at in prop::array::uniform3(-2.0..2.0f64),
         ) {
             // One square metre of the world, as part of bodies with different poses.
-            let world = SUN.on(&Isometry3::identity()).reaches(&square(0.2));
+            let world = Sunlight::on(&SUN, &Isometry3::identity()).reaches(&square(0.2));
             let pose = Isometry3::new(Vector3::from(at), Vector3::from(turn));
             let there: Vec<_> =
                 square(0.2).iter().map(|point| pose.inverse_transform_point(point)).collect();
-            let parts = SUN.on(&pose).reaches(&there);
+            let parts = Sunlight::on(&SUN, &pose).reaches(&there);
             prop_assert_eq!(world.len(), parts.len());
             for (one, other) in world.iter().zip(&parts) {
                 prop_assert!((area(one) - area(other)).abs() < 1e-9);
@@ -186,21 +171,21 @@ mod tests {
 
     #[test]
     fn a_side_that_faces_the_sun_has_the_ratio_of_one_that_does_not() {
-        let light = SUN.on(&Isometry3::identity());
+        let light = Sunlight::on(&SUN, &Isometry3::identity());
         let towards = light.towards_sun;
-        assert!((light.shade() + light.added(&towards) - 1.0).abs() < 1e-12);
-        assert!(light.added(&-towards) == 0.0 && (light.shade() - 0.25).abs() < 1e-12);
+        assert!((light.shade + light.added(&towards) - 1.0).abs() < 1e-12);
+        assert!(light.added(&-towards) == 0.0 && (light.shade - 0.25).abs() < 1e-12);
     }
 
     #[test]
     fn suns_without_sense_are_refused() {
-        assert_eq!(SUN.problem(), None);
+        assert_eq!(problem(&SUN), None);
         for sun in [
-            Sun { ratio: 0.5, ..SUN },
-            Sun { stripes_m: 1e-9, ..SUN },
-            Sun { azimuth_deg: f64::NAN, ..SUN },
+            SimulatedSun { ratio: 0.5, ..SUN },
+            SimulatedSun { stripes_m: 1e-9, ..SUN },
+            SimulatedSun { azimuth_deg: f64::NAN, ..SUN },
         ] {
-            assert!(sun.problem().unwrap().starts_with("sun."));
+            assert!(problem(&sun).unwrap().starts_with("sun."));
         }
     }
 }

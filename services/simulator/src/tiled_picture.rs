@@ -8,9 +8,9 @@ use crate::eyes::Eye;
 use crate::own_airframe;
 use crate::panorama::{Outlook, Panoramas};
 use crate::parameters::WorldParameters;
-use crate::scene::Scene;
-use crate::sensor::Sensor;
-use crate::tiles::{TILE, Tile, bands};
+use crate::scene::FrameScene;
+use crate::sensor::ImageSensor;
+use crate::tiles::{ImageTile, TILE, bands};
 
 /// Pixels of a tile that the own airframe covers: their index, row by row, and how much.
 type Covered = Vec<(u8, f32)>;
@@ -20,7 +20,7 @@ type Covered = Vec<(u8, f32)>;
 pub(crate) struct TiledPicture {
     width: usize,
     height: usize,
-    bands: Vec<Vec<Tile>>,
+    bands: Vec<Vec<ImageTile>>,
     /// In gusts.
     cube: Option<CubeBackdrop>,
     panoramas: Panoramas,
@@ -34,12 +34,11 @@ pub(crate) struct TiledPicture {
 }
 
 impl TiledPicture {
-    /// The image of the world's camera.
-    pub(crate) fn new(parameters: &WorldParameters, eyes: &[Eye], sensor: &Sensor) -> Self {
+    pub(crate) fn new(parameters: &WorldParameters, eyes: &[Eye], sensor: &ImageSensor) -> Self {
         let (width, height) = (parameters.camera.width(), parameters.camera.height());
         let bands = bands(&parameters.camera, eyes);
         let (panoramas, outlooks) = Panoramas::new(parameters, &bands, sensor);
-        let covered = |tile: &Tile| {
+        let covered = |tile: &ImageTile| {
             if parameters.airframes { covered(tile, parameters) } else { Vec::new() }
         };
         let room = (width as usize).next_multiple_of(TILE) * TILE;
@@ -61,7 +60,7 @@ impl TiledPicture {
     /// tile it lies, radians; `None` if the eye has no tile.
     pub(crate) fn nearest(&self, eye: usize, direction: &Vector3<f64>) -> Option<(Density, f64)> {
         let tiles = self.bands.iter().flatten().filter(|tile| tile.eye == eye);
-        let nearness = |tile: &Tile| tile.axis.dot(direction);
+        let nearness = |tile: &ImageTile| tile.axis.dot(direction);
         let tile = tiles.max_by(|a, b| nearness(a).total_cmp(&nearness(b)))?;
         Some((
             tile.density.moved(direction, &tile.axis),
@@ -72,8 +71,8 @@ impl TiledPicture {
     /// Lays the layers over each other, band by band, and adds the noise.
     pub(crate) fn expose(
         &mut self,
-        scene: Scene<'_>,
-        sensor: &Sensor,
+        scene: FrameScene<'_>,
+        sensor: &ImageSensor,
         luma: &mut [u8],
         stride: usize,
     ) {
@@ -87,8 +86,9 @@ impl TiledPicture {
                 let near: Vec<_> = scene
                     .layers
                     .iter()
-                    .filter(|layer| layer.eye == tile.eye)
-                    .filter(|layer| layer.drawing.touches(&tile.axis, tile.radius))
+                    .filter(|(eye, _)| *eye == tile.eye)
+                    .map(|(_, drawing)| drawing)
+                    .filter(|drawing| drawing.touches(&tile.axis, tile.radius))
                     .collect();
                 for row in 0..TILE {
                     let at = row * row_length + tile.column;
@@ -106,8 +106,8 @@ impl TiledPicture {
                             }
                         }
                     }
-                    for layer in &near {
-                        layer.drawing.draw_rays(&tile.rays[row], sensor, levels, sigmas);
+                    for drawing in &near {
+                        drawing.draw_rays(&tile.rays[row], sensor, levels, sigmas);
                     }
                 }
                 for &(index, cover) in covered {
@@ -126,8 +126,7 @@ impl TiledPicture {
     }
 }
 
-/// What the own airframe covers of a tile.
-fn covered(tile: &Tile, parameters: &WorldParameters) -> Covered {
+fn covered(tile: &ImageTile, parameters: &WorldParameters) -> Covered {
     let softness = own_airframe::softness(parameters, &tile.density);
     let mut covered = Vec::new();
     for row in 0..TILE {

@@ -4,11 +4,11 @@
 //! over at once by whatever is drawn.
 
 use std::f64::consts::PI;
-use std::num::NonZero;
 
 use flockeye_geometry::camera::{Camera, CameraModel, SpherePixel};
 use nalgebra::{Matrix2, Matrix2x3, Matrix3x2, Vector3};
 
+use crate::backdrop::for_rows;
 use crate::density::Density;
 use crate::eyes::Eye;
 
@@ -21,8 +21,7 @@ pub(crate) type RayRow = [[f32; TILE]; 3];
 
 /// What one eye sees in a square of the image.
 #[derive(Debug)]
-pub(crate) struct Tile {
-    /// Its first column.
+pub(crate) struct ImageTile {
     pub column: usize,
     /// The eye's index.
     pub eye: usize,
@@ -38,7 +37,7 @@ pub(crate) struct Tile {
     pub density: Density,
 }
 
-impl Tile {
+impl ImageTile {
     /// Columns within row `row` of the tile that the eye has.
     pub(crate) fn seen_in(&self, row: usize) -> impl Iterator<Item = usize> {
         let seen = self.seen[row];
@@ -47,34 +46,28 @@ impl Tile {
 }
 
 /// The tiles of an image, by bands of [`TILE`] rows.
-pub(crate) fn bands(camera: &Camera, eyes: &[Eye]) -> Vec<Vec<Tile>> {
-    let count = (camera.height() as usize).div_ceil(TILE);
+pub(crate) fn bands(camera: &Camera, eyes: &[Eye]) -> Vec<Vec<ImageTile>> {
     let across = (camera.width() as usize).div_ceil(TILE);
-    let threads = std::thread::available_parallelism().map_or(1, NonZero::get);
-    let share = count.div_ceil(threads);
-    let mut bands: Vec<Vec<Tile>> = Vec::new();
-    bands.resize_with(count, Vec::new);
-    std::thread::scope(|scope| {
-        for (index, bands) in bands.chunks_mut(share).enumerate() {
-            scope.spawn(move || {
-                for (k, band) in bands.iter_mut().enumerate() {
-                    let row = (index * share + k) * TILE;
-                    let places = (0..across).flat_map(|k| (0..eyes.len()).map(move |e| (k, e)));
-                    band.extend(
-                        places.filter_map(|(k, eye)| tile(camera, eyes, eye, [k * TILE, row])),
-                    );
-                }
-            });
-        }
+    let mut bands: Vec<Vec<ImageTile>> = Vec::new();
+    bands.resize_with((camera.height() as usize).div_ceil(TILE), Vec::new);
+    for_rows(&mut bands, 1, |index, band| {
+        let places = (0..across).flat_map(|k| (0..eyes.len()).map(move |eye| (k, eye)));
+        let tiles = places.filter_map(|(k, eye)| tile(camera, eyes, eye, [k * TILE, index * TILE]));
+        band[0].extend(tiles);
     });
     bands
 }
 
 /// The tile whose first pixel is at `column` and `row`; `None` where the eye has no pixel in it.
-fn tile(camera: &Camera, eyes: &[Eye], index: usize, [column, row]: [usize; 2]) -> Option<Tile> {
+fn tile(
+    camera: &Camera,
+    eyes: &[Eye],
+    index: usize,
+    [column, row]: [usize; 2],
+) -> Option<ImageTile> {
     let eye = &eyes[index];
     let (width, height) = (camera.width() as usize, camera.height() as usize);
-    let mut tile = Tile {
+    let mut tile = ImageTile {
         column,
         eye: index,
         seen: [0; TILE],

@@ -51,7 +51,6 @@ impl Wave {
     }
 }
 
-/// The way of one body.
 #[derive(Debug, Clone)]
 pub(crate) struct Trajectory {
     /// Phase gained in a second, radians.

@@ -3,13 +3,12 @@
 use flockeye_geometry::body::Marker;
 use nalgebra::{Isometry3, Point3, Vector3};
 
-use crate::density::Density;
-use crate::drone::Drone;
+use crate::density::{BodySight, Density};
+use crate::drone::DroneShape;
 use crate::eyes::Eye;
 use crate::moment::{Attitude, Moment, Placement};
 use crate::own_airframe;
 use crate::parameters::WorldParameters;
-use crate::sight::Sight;
 
 /// Points along each side of a marker's black square that are tried for visibility.
 const GRID: u32 = 10;
@@ -25,8 +24,6 @@ pub struct FrameTruth {
     pub time_s: f64,
     /// Length of its exposure, seconds.
     pub exposure_s: f64,
-    /// Sensitivity.
-    pub iso: u32,
     /// The camera's attitude in the middle of the exposure.
     pub camera: Attitude,
     /// Every body, by its index in the configuration.
@@ -42,14 +39,6 @@ pub struct TargetTruth {
     pub target: usize,
     /// Pose of the body's markers in the camera frame.
     pub camera_from_markers: Isometry3<f64>,
-    /// Velocity as the turning camera sees it, in its frame, metres per second.
-    pub velocity_in_camera: Vector3<f64>,
-    /// Distance of the body's centre from the camera, metres.
-    pub distance_m: f64,
-    /// Azimuth of the centre in the camera frame, radians, to the left of ahead.
-    pub azimuth: f64,
-    /// Elevation of the centre in the camera frame, radians.
-    pub elevation: f64,
     /// Markers of which at least half of the black square is visible. An image circle is a picture
     /// by itself: a marker counts as it is seen in the better one.
     pub markers_visible_50: u32,
@@ -65,20 +54,11 @@ pub struct TargetTruth {
     pub localisable: bool,
 }
 
-/// The observer.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Viewer<'a> {
-    /// The camera's eyes.
-    pub eyes: &'a [Eye],
-    /// The world's.
-    pub parameters: &'a WorldParameters,
-}
-
 /// The bodies as one eye sees them: the drone in question, what may hide it, and the image there.
-struct View<'a> {
+struct EyeView<'a> {
     eye: &'a Eye,
-    sight: Sight,
-    hiding: Vec<(&'a Drone, Isometry3<f64>)>,
+    sight: BodySight,
+    hiding: Vec<(&'a DroneShape, Isometry3<f64>)>,
     /// Softness of the own airframe's edges, radians; `None` without one.
     own_airframe: Option<f32>,
 }
@@ -86,24 +66,22 @@ struct View<'a> {
 /// The truth of every body at `moment`, in the order of `drones`. `sights` are, for each body and
 /// eye, where the eye has it in its part of the image.
 pub(crate) fn targets(
-    drones: &[Drone],
+    drones: &[DroneShape],
     moment: &Moment,
-    sights: &[Vec<Option<Sight>>],
-    viewer: &Viewer<'_>,
+    sights: &[Vec<Option<BodySight>>],
+    eyes: &[Eye],
+    parameters: &WorldParameters,
 ) -> Vec<TargetTruth> {
     let bodies = drones.iter().zip(&moment.placements).zip(sights).enumerate();
     bodies
         .map(|(target, ((drone, placement), sights))| {
-            let pose = placement.camera_from_markers;
-            let at = pose.translation.vector;
-            let views: Vec<View<'_>> = viewer
-                .eyes
+            let views: Vec<EyeView<'_>> = eyes
                 .iter()
                 .zip(sights)
                 .filter_map(|(eye, sight)| Some((eye, sight.as_ref()?)))
-                .map(|(eye, sight)| view(drones, moment, target, viewer, eye, sight))
+                .map(|(eye, sight)| view(drones, moment, target, parameters, eye, sight))
                 .collect();
-            let exposure_s = viewer.parameters.exposure_s;
+            let exposure_s = parameters.exposure_s;
             // The eye that has the centre; or, in the strip that no lens of a stitched camera sees,
             // one that has what lies beside it.
             let looking = views
@@ -113,15 +91,11 @@ pub(crate) fn targets(
             let mut truth = TargetTruth {
                 name: drone.name.clone(),
                 target,
-                camera_from_markers: pose,
-                velocity_in_camera: placement.velocity_in_camera,
-                distance_m: at.norm(),
-                azimuth: at.y.atan2(at.x),
-                elevation: at.z.atan2(at.x.hypot(at.y)),
+                camera_from_markers: placement.camera_from_markers,
                 markers_visible_50: 0,
                 markers_visible_90: 0,
                 best_side_px: 0.0,
-                blur_px: looking.map_or(0.0, |View { sight, .. }| {
+                blur_px: looking.map_or(0.0, |EyeView { sight, .. }| {
                     sight.density.motion_px(&sight.placement, exposure_s)
                 }),
                 localisable: false,
@@ -133,13 +107,13 @@ pub(crate) fn targets(
 }
 
 fn view<'a>(
-    drones: &'a [Drone],
+    drones: &'a [DroneShape],
     moment: &Moment,
     target: usize,
-    viewer: &Viewer<'a>,
+    parameters: &WorldParameters,
     eye: &'a Eye,
-    sight: &Sight,
-) -> View<'a> {
+    sight: &BodySight,
+) -> EyeView<'a> {
     let placements = moment.placements.iter().map(|placement| placement.seen_from(eye));
     let hiding = drones
         .iter()
@@ -151,15 +125,13 @@ fn view<'a>(
         })
         .map(|(_, (drone, place))| (drone, place.camera_from_markers))
         .collect();
-    let own_airframe = viewer
-        .parameters
-        .airframes
-        .then(|| own_airframe::softness(viewer.parameters, &sight.density));
-    View { eye, sight: *sight, hiding, own_airframe }
+    let own_airframe =
+        parameters.airframes.then(|| own_airframe::softness(parameters, &sight.density));
+    EyeView { eye, sight: *sight, hiding, own_airframe }
 }
 
 /// Counts a marker as the picture that shows most of it does.
-fn count_marker(truth: &mut TargetTruth, marker: &Marker, views: &[View<'_>]) {
+fn count_marker(truth: &mut TargetTruth, marker: &Marker, views: &[EyeView<'_>]) {
     let shares: Vec<f64> = views.iter().map(|view| view.visible_share(marker)).collect();
     let pictures = views.iter().zip(&shares);
     let in_picture = |picture: usize| -> f64 {
@@ -183,16 +155,16 @@ fn count_marker(truth: &mut TargetTruth, marker: &Marker, views: &[View<'_>]) {
 
 /// Whether one drone is near enough to the line of sight to another one, and before it.
 fn may_hide(
-    (one, placed): (&Drone, &Placement),
-    (other, other_placed): (&Drone, &Placement),
+    (one, placed): (&DroneShape, &Placement),
+    (other, other_placed): (&DroneShape, &Placement),
 ) -> bool {
     let (a, b) = (placed.position(), other_placed.position());
     let angular_radius =
-        |drone: &Drone, at: &Vector3<f64>| (drone.radius / at.norm()).min(1.0).asin();
+        |drone: &DroneShape, at: &Vector3<f64>| (drone.radius / at.norm()).min(1.0).asin();
     a.norm() < b.norm() && a.angle(&b) < angular_radius(one, &a) + angular_radius(other, &b)
 }
 
-impl View<'_> {
+impl EyeView<'_> {
     /// Pose of the body's markers as the eye sees it, along the camera's axes.
     fn pose(&self) -> &Isometry3<f64> {
         &self.sight.placement.camera_from_markers

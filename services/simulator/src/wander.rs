@@ -23,8 +23,10 @@ pub(crate) struct Wander {
     axes: [Wave; 3],
     /// Phase gained in a second, radians.
     rate: f64,
-    start_yaw: f64,
-    sense: f64,
+    /// Its yaw at time 0, radians.
+    pub(crate) start_yaw: f64,
+    /// Sense of the turn: to the left (1) or to the right (-1).
+    pub(crate) sense: f64,
 }
 
 impl Wander {
@@ -55,16 +57,6 @@ impl Wander {
     pub(crate) fn position(&self, time_s: f64) -> Vector3<f64> {
         let phase = self.rate * time_s;
         self.place + Vector3::from_fn(|axis, _| self.axes[axis].value(phase))
-    }
-
-    /// Its yaw at time 0, radians.
-    pub(crate) fn start_yaw(&self) -> f64 {
-        self.start_yaw
-    }
-
-    /// Sense of the turn: to the left (1) or to the right (-1).
-    pub(crate) fn sense(&self) -> f64 {
-        self.sense
     }
 }
 

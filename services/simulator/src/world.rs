@@ -4,20 +4,20 @@ use flockeye_dictionary::Dictionary;
 use flockeye_geometry::body::Bodies;
 use nalgebra::{Isometry3, Translation3, Unit, UnitQuaternion, Vector3};
 
-use crate::drawing::{Drawing, Lights, Sharpness};
-use crate::drone::Drone;
+use crate::density::BodySight;
+use crate::drawing::DroneDrawing;
+use crate::drone::DroneShape;
 use crate::drone_motion::{DroneMotion, STEP_S};
 use crate::error::{RenderError, WorldError};
 use crate::eyes::Eye;
 use crate::gusts::Gusts;
 use crate::moment::{Moment, Placement};
 use crate::parameters::{SwarmPlace, WorldParameters};
-use crate::picture::Picture;
-use crate::scene::{Layer, Scene};
-use crate::sensor::Sensor;
-use crate::sight::Sight;
+use crate::picture::CameraPicture;
+use crate::scene::FrameScene;
+use crate::sensor::ImageSensor;
 use crate::trajectory::{self, Trajectory};
-use crate::truth::{self, FrameTruth, Viewer};
+use crate::truth::{self, FrameTruth};
 
 /// Least distance of a drone that can be drawn, in its radii.
 const LEAST_DISTANCE: f64 = 1.2;
@@ -26,17 +26,17 @@ const LEAST_DISTANCE: f64 = 1.2;
 #[derive(Debug)]
 pub struct World {
     parameters: WorldParameters,
-    drones: Vec<Drone>,
+    drones: Vec<DroneShape>,
     ways: Ways,
-    motion: DroneMotion,
-    sensor: Sensor,
+    /// How the camera moves.
+    pub(crate) motion: DroneMotion,
+    sensor: ImageSensor,
     eyes: Vec<Eye>,
-    picture: Picture,
+    picture: CameraPicture,
     /// For each body one for each eye: kept from frame to frame for their memory alone.
-    drawings: Vec<Drawing>,
+    drawings: Vec<DroneDrawing>,
 }
 
-/// How the bodies fly.
 #[derive(Debug)]
 enum Ways {
     /// Round the observer.
@@ -45,15 +45,8 @@ enum Ways {
         /// On each drone; none in calm air.
         gusts: Vec<Gusts>,
     },
-    /// As drones of the observer's swarm.
-    Swarm(Vec<SwarmDrone>),
-}
-
-/// A drone of the observer's swarm.
-#[derive(Debug)]
-struct SwarmDrone {
-    motion: DroneMotion,
-    drone_from_markers: Isometry3<f64>,
+    /// As drones of the observer's swarm: how each moves, and where its markers sit on it.
+    Swarm(Vec<(DroneMotion, Isometry3<f64>)>),
 }
 
 impl World {
@@ -76,16 +69,13 @@ impl World {
         }
         let drones = bodies
             .iter()
-            .map(|body| Drone::new(body, dictionary, parameters.airframes))
+            .map(|body| DroneShape::new(body, dictionary, parameters.airframes))
             .collect::<Result<Vec<_>, _>>()?;
         let markers: Vec<_> = bodies.iter().map(|body| body.target_from_markers).collect();
         Self::with_drones(parameters, drones, &markers)
     }
 
     /// A world in which nobody flies: for what must find nothing.
-    ///
-    /// # Errors
-    /// Parameters out of range.
     pub fn empty(parameters: WorldParameters) -> Result<Self, WorldError> {
         Self::with_drones(parameters, Vec::new(), &[])
     }
@@ -93,7 +83,7 @@ impl World {
     /// `drones_from_markers` are the places of each body's markers on its drone.
     fn with_drones(
         parameters: WorldParameters,
-        drones: Vec<Drone>,
+        drones: Vec<DroneShape>,
         drones_from_markers: &[Isometry3<f64>],
     ) -> Result<Self, WorldError> {
         let mut problems = parameters.problems();
@@ -130,18 +120,17 @@ impl World {
             }
             Some(swarm) => {
                 let others = (0..swarm.drones).filter(|&drone| drone != swarm.drone);
-                let drone = |(drone, &drone_from_markers)| SwarmDrone {
-                    motion: DroneMotion::of_drone(&parameters, drone),
-                    drone_from_markers,
+                let drone = |(drone, &drone_from_markers)| {
+                    (DroneMotion::of_drone(&parameters, drone), drone_from_markers)
                 };
                 Ways::Swarm(others.zip(drones_from_markers).map(drone).collect())
             }
         };
-        let sensor = Sensor::new(&parameters);
+        let sensor = ImageSensor::new(&parameters);
         Ok(Self {
             motion: DroneMotion::of_observer(&parameters),
-            picture: Picture::new(&parameters, &eyes, &sensor),
-            drawings: drones.iter().flat_map(|_| &eyes).map(|_| Drawing::default()).collect(),
+            picture: CameraPicture::new(&parameters, &eyes, &sensor),
+            drawings: drones.iter().flat_map(|_| &eyes).map(|_| DroneDrawing::default()).collect(),
             parameters,
             drones,
             ways,
@@ -163,11 +152,6 @@ impl World {
             }
             _ => self.moving_moment(time_s),
         }
-    }
-
-    /// How the camera moves.
-    pub fn motion(&self) -> &DroneMotion {
-        &self.motion
     }
 
     fn calm_moment(&self, trajectories: &[Trajectory], time_s: f64) -> Moment {
@@ -211,7 +195,7 @@ impl World {
                 gusts.get(target).map_or(steady, |gusts| in_gusts(&steady, gusts, time_s))
             }
             Ways::Swarm(drones) => {
-                let SwarmDrone { motion, drone_from_markers } = &drones[target];
+                let (motion, drone_from_markers) = &drones[target];
                 motion.world_from_drone(time_s) * drone_from_markers
             }
         };
@@ -221,9 +205,6 @@ impl World {
     /// Writes the luma plane of a frame (8 bit, the parameters' curve, full range) and returns what
     /// is true of it. Rows lie `stride` bytes apart; what lies between them is left alone, and
     /// every pixel is written once.
-    ///
-    /// # Errors
-    /// [`RenderError`]: memory too small, or a stride shorter than a row.
     pub fn render(
         &mut self,
         frame: u64,
@@ -244,9 +225,6 @@ impl World {
     }
 
     /// As [`World::render`], with everything at its place in `moment`. `frame` chooses the noise.
-    ///
-    /// # Errors
-    /// As [`World::render`]; and bodies that are too near or not as many as the world's.
     pub fn render_moment(
         &mut self,
         frame: u64,
@@ -260,47 +238,39 @@ impl World {
             moment.camera.world_from_camera,
         );
         let sights = self.sights(moment);
-        let sharpness = self.sharpness();
         let bodies = self.drones.iter().zip(&sights);
         let mut layers = Vec::new();
         for (drawings, (drone, sights)) in self.drawings.chunks_mut(self.eyes.len()).zip(bodies) {
             for (eye, (drawing, sight)) in drawings.iter_mut().zip(sights).enumerate() {
-                let Some(Sight { placement, density }) = sight else { continue };
+                let Some(BodySight { placement, density }) = sight else { continue };
                 let place = Translation3::from(self.eyes[eye].position_m);
-                let lights =
-                    Lights { world_from_eye: world_from_camera * place, sun: self.parameters.sun };
-                drawing.draw(drone, placement, &lights, density, sharpness);
-                layers.push((placement.position().norm(), Layer { eye, drawing }));
+                let world_from_eye = world_from_camera * place;
+                drawing.draw(drone, placement, &world_from_eye, density, &self.parameters);
+                layers.push((placement.position().norm(), (eye, &*drawing)));
             }
         }
         // Farthest first: what is nearer hides it.
         layers.sort_by(|(a, _), (b, _)| b.total_cmp(a));
-        let layers: Vec<Layer<'_>> = layers.into_iter().map(|(_, layer)| layer).collect();
-        let scene = Scene { frame, camera: moment.camera, layers: &layers };
+        let layers: Vec<(usize, &DroneDrawing)> =
+            layers.into_iter().map(|(_, layer)| layer).collect();
+        let scene = FrameScene { frame, camera: moment.camera, layers: &layers };
         self.sensor.adapt(self.parameters.exposure_swing_at(moment.time_s));
         self.picture.expose(scene, &self.sensor, luma, stride);
         Ok(FrameTruth {
             frame,
             time_s: moment.time_s,
             exposure_s: self.parameters.exposure_s,
-            iso: self.parameters.iso,
             camera: moment.camera,
-            bodies: truth::targets(
-                &self.drones,
-                moment,
-                &sights,
-                &Viewer { eyes: &self.eyes, parameters: &self.parameters },
-            ),
+            bodies: truth::targets(&self.drones, moment, &sights, &self.eyes, &self.parameters),
         })
     }
 
-    /// What each eye sees of each body.
-    fn sights(&self, moment: &Moment) -> Vec<Vec<Option<Sight>>> {
-        let sight = |drone: &Drone, placement: &Placement, index: usize, eye: &Eye| {
+    fn sights(&self, moment: &Moment) -> Vec<Vec<Option<BodySight>>> {
+        let sight = |drone: &DroneShape, placement: &Placement, index: usize, eye: &Eye| {
             let placement = placement.seen_from(eye);
             let density =
                 self.picture.density_at(index, &placement, drone.radius, &self.parameters)?;
-            Some(Sight { placement, density })
+            Some(BodySight { placement, density })
         };
         let pairs = self.drones.iter().zip(&moment.placements);
         pairs
@@ -309,17 +279,6 @@ impl World {
                 eyes.map(|(index, eye)| sight(drone, placement, index, eye)).collect()
             })
             .collect()
-    }
-
-    fn sharpness(&self) -> Sharpness {
-        let samples_per_px = self.parameters.quality.density();
-        let camera = &self.parameters.camera;
-        Sharpness {
-            samples_per_px,
-            blur: samples_per_px * self.parameters.lens_blur_px,
-            exposure_s: self.parameters.exposure_s,
-            widest: samples_per_px * f64::from(camera.width().max(camera.height())),
-        }
     }
 
     fn check(&self, moment: &Moment, given: usize, stride: usize) -> Result<(), RenderError> {
@@ -358,6 +317,6 @@ fn in_gusts(steady: &Isometry3<f64>, gusts: &Gusts, time_s: f64) -> Isometry3<f6
     )
 }
 
-fn least_distance(drone: &Drone) -> f64 {
+fn least_distance(drone: &DroneShape) -> f64 {
     drone.radius * LEAST_DISTANCE
 }

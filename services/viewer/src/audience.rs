@@ -3,29 +3,28 @@
 use std::sync::Arc;
 
 use crate::foxglove_view::FoxgloveView;
-use crate::hub::{Hub, Wanted};
+use crate::pages::{Demand, Pages};
 
 /// The pages and clients that are connected.
 pub struct Audience {
-    /// Pages.
-    pub hub: Arc<Hub>,
+    pub pages: Arc<Pages>,
     /// Foxglove's clients, where they are served.
     pub foxglove: Option<FoxgloveView>,
 }
 
 impl Audience {
     /// What somebody wants to see.
-    pub fn wanted(&self) -> Wanted {
+    pub fn wanted(&self) -> Demand {
         let wanted = self.foxglove.as_ref().map(FoxgloveView::wanted).unwrap_or_default();
-        self.hub.wanted().or(wanted)
+        self.pages.wanted().or(wanted)
     }
 
     /// Whether somebody can take a picture or a close-up now.
-    pub fn takes_pictures(&self, wanted: Wanted) -> bool {
+    pub fn takes_pictures(&self, wanted: Demand) -> bool {
         let takes =
             |foxglove: &FoxgloveView| foxglove.wanted().pictures || foxglove.wanted().closeups;
         (wanted.pictures || wanted.closeups)
-            && (self.hub.takes_pictures() || self.foxglove.as_ref().is_some_and(takes))
+            && (self.pages.takes_pictures() || self.foxglove.as_ref().is_some_and(takes))
     }
 
     /// Tells Foxglove's clients something, where they are served.

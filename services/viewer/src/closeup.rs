@@ -1,5 +1,5 @@
-//! A neighbour as alignment sees it: the picture, the model at the published pose, and what is left between
-//! them.
+//! A neighbour as alignment sees it: the picture, the model at the published pose, and what is left
+//! between them.
 
 use anyhow::Context as _;
 use flockeye_config::Resolved;
@@ -8,21 +8,21 @@ use flockeye_convert::{RadianceCache, isometry};
 use flockeye_dictionary::Dictionary;
 use flockeye_geometry::body::Bodies;
 use flockeye_geometry::camera::Camera;
-use flockeye_geometry::search::{PredictedNeighbour, RoiOptions, roi_view};
+use flockeye_geometry::search::{PredictedNeighbour, roi_view};
 use flockeye_imaging::align::{AlignOptions, BodyPrint, Picture, depict};
 use flockeye_imaging::image::LumaImage;
 use flockeye_imaging::sphere::{Cut, Interpolation, SphereImage, rectify_into};
 use nalgebra::{Isometry3, Matrix3, Vector3};
 
 use crate::picture::gray_jpeg;
-use crate::wire::{CloseupHead, Score};
+use crate::wire::{CloseupHead, Likeness};
 
 /// Makes close-ups of one pipeline's neighbours.
 pub struct CloseupMaker {
     bodies: Bodies,
     prints: Vec<BodyPrint>,
     camera: Camera,
-    roi: RoiOptions,
+    pixels_per_radian: f64,
     observer_from_camera: Isometry3<f64>,
     radiances: RadianceCache,
 }
@@ -40,14 +40,14 @@ impl CloseupMaker {
             bodies: resolved.bodies.clone(),
             prints: prints.collect::<Result<_, _>>().context("a body cannot be drawn")?,
             camera: resolved.camera,
-            roi: resolved.roi_options,
+            pixels_per_radian: resolved.roi_options.pixels_per_radian,
             observer_from_camera: resolved.observer_from_camera,
             radiances: RadianceCache::new(resolved.measured_response)?,
         })
     }
 
-    /// The close-up of a track's neighbour in the frame that the track is of; with its head the JPEG. `None`
-    /// where there is nothing to see, as of a pose inside the camera.
+    /// The close-up of a track's neighbour in the frame that the track is of; with its head the
+    /// JPEG. `None` where there is nothing to see, as of a pose inside the camera.
     ///
     /// # Errors
     /// The frame is not as its header says, or its curve is unknown.
@@ -79,7 +79,7 @@ impl CloseupMaker {
             &Matrix3::zeros(),
             &Vector3::zeros(),
         );
-        let Some(planned) = seen.and_then(|seen| roi_view(&seen, &self.roi)) else {
+        let Some(planned) = seen.and_then(|seen| roi_view(&seen, self.pixels_per_radian)) else {
             return Ok(None);
         };
         let view = planned.view;
@@ -108,7 +108,7 @@ impl CloseupMaker {
         match depict(print, &picture, &camera_from_markers, &AlignOptions::default()) {
             Ok(shown) => {
                 let (width, height) = (shown.width, shown.height);
-                let score = Score {
+                let score = Likeness {
                     correlation: shown.evidence.correlation as f32,
                     log_odds: shown.evidence.log_odds as f32,
                     facets: shown.evidence.agreeing_facets,

@@ -10,11 +10,11 @@ use serde::Deserialize;
 use tungstenite::protocol::{CloseFrame, Role, WebSocketConfig, frame::coding::CloseCode};
 use tungstenite::{Error, Message, WebSocket};
 
-use crate::explaining::{Explainer, Explanation, Question};
-use crate::files::{self, File};
-use crate::hub::{Hub, Page};
-use crate::remote::Move;
-use crate::request::{Access, Answer, MAX_HEAD, Refusal, answer};
+use crate::explaining::{Explainer, PoseQuestion};
+use crate::files;
+use crate::pages::{OpenPage, Pages};
+use crate::remote::{Move, Remote};
+use crate::request::{Access, HttpAnswer, HttpRefusal, MAX_HEAD, answer};
 
 /// A request must have come in this time.
 const REQUEST_TIME: Duration = Duration::from_secs(5);
@@ -27,7 +27,6 @@ const LINGER: Duration = Duration::from_millis(200);
 /// Longest message of a page, bytes.
 const MAX_COMMAND: usize = 1024;
 
-/// What a page says.
 #[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
 #[serde(rename_all = "snake_case")]
 enum Command {
@@ -56,8 +55,8 @@ impl Command {
 }
 
 /// Serves a connection until it ends. What goes wrong with it is the other end's trouble.
-pub fn serve(mut stream: TcpStream, access: &Access, hub: &Hub, explainer: &Explainer) {
-    if let Err(error) = try_serve(&mut stream, access, hub, explainer) {
+pub fn serve(mut stream: TcpStream, access: &Access, pages: &Pages, explainer: &Explainer) {
+    if let Err(error) = try_serve(&mut stream, access, pages, explainer) {
         tracing::debug!("a connection ended: {error}");
     }
 }
@@ -65,22 +64,26 @@ pub fn serve(mut stream: TcpStream, access: &Access, hub: &Hub, explainer: &Expl
 fn try_serve(
     stream: &mut TcpStream,
     access: &Access,
-    hub: &Hub,
+    pages: &Pages,
     explainer: &Explainer,
 ) -> io::Result<()> {
     stream.set_write_timeout(Some(ANSWER_TIME))?;
     stream.set_nodelay(true)?;
     let (asked, rest) = read_request(stream, access)?;
     match asked {
-        Answer::File { file, with_body } => send_file(stream, file, with_body),
-        Answer::Granted => send(stream, (200, "OK"), "text/plain; charset=utf-8", b"granted", true),
-        Answer::Explain(question) => explain(stream, explainer, &question),
-        Answer::Refused(refusal) => refuse(stream, refusal),
-        Answer::Socket { accept } => match hub.open() {
+        HttpAnswer::File { file, with_body } => {
+            send(stream, (200, "OK"), file.media_type, file.content, with_body)
+        }
+        HttpAnswer::Granted => {
+            send(stream, (200, "OK"), "text/plain; charset=utf-8", b"granted", true)
+        }
+        HttpAnswer::Explain(question) => explain(stream, explainer, &question),
+        HttpAnswer::Refused(refusal) => refuse(stream, refusal),
+        HttpAnswer::Socket { accept } => match pages.open() {
             Err(refusal) => refuse(stream, refusal),
             Ok(page) => {
-                let outcome = open_socket(stream, &accept, rest, &page, hub);
-                hub.close(&page);
+                let outcome = open_socket(stream, &accept, rest, &page, pages);
+                pages.close(&page);
                 outcome
             }
         },
@@ -88,14 +91,14 @@ fn try_serve(
 }
 
 /// Reads a request, and what has come behind it.
-fn read_request(stream: &mut TcpStream, access: &Access) -> io::Result<(Answer, Vec<u8>)> {
+fn read_request(stream: &mut TcpStream, access: &Access) -> io::Result<(HttpAnswer, Vec<u8>)> {
     let deadline = Instant::now() + REQUEST_TIME;
     let mut bytes = Vec::new();
     let mut chunk = [0; 1024];
     loop {
         let left = deadline.saturating_duration_since(Instant::now());
         if left.is_zero() {
-            return Ok((Answer::Refused(Refusal::TooSlow), Vec::new()));
+            return Ok((HttpAnswer::Refused(HttpRefusal::TooSlow), Vec::new()));
         }
         stream.set_read_timeout(Some(left))?;
         match stream.read(&mut chunk) {
@@ -111,7 +114,7 @@ fn read_request(stream: &mut TcpStream, access: &Access) -> io::Result<(Answer, 
     }
 }
 
-fn refuse(stream: &mut TcpStream, refusal: Refusal) -> io::Result<()> {
+fn refuse(stream: &mut TcpStream, refusal: HttpRefusal) -> io::Result<()> {
     let text = format!("{refusal}\n");
     send(stream, refusal.status(), "text/plain; charset=utf-8", text.as_bytes(), true)?;
     // Bytes that are not read would reset the connection, and the answer with it.
@@ -123,10 +126,15 @@ fn refuse(stream: &mut TcpStream, refusal: Refusal) -> io::Result<()> {
     Ok(())
 }
 
-/// Answers with the length of the text (4 bytes, little endian), the text, and the picture; or says why not.
-fn explain(stream: &mut TcpStream, explainer: &Explainer, question: &Question) -> io::Result<()> {
+/// Answers with the length of the text (4 bytes, little endian), the text, and the picture; or says
+/// why not.
+fn explain(
+    stream: &mut TcpStream,
+    explainer: &Explainer,
+    question: &PoseQuestion,
+) -> io::Result<()> {
     match explainer.answer(question) {
-        Ok(Explanation { text, png }) => {
+        Ok((text, png)) => {
             let length = u32::try_from(text.len()).unwrap_or(0).to_le_bytes();
             let body = [&length[..], text.as_bytes(), &png].concat();
             send(stream, (200, "OK"), "application/octet-stream", &body, true)
@@ -136,10 +144,6 @@ fn explain(stream: &mut TcpStream, explainer: &Explainer, question: &Question) -
             send(stream, (409, "Conflict"), "text/plain; charset=utf-8", text.as_bytes(), true)
         }
     }
-}
-
-fn send_file(stream: &mut TcpStream, file: &File, with_body: bool) -> io::Result<()> {
-    send(stream, (200, "OK"), file.media_type, file.content, with_body)
 }
 
 fn send(
@@ -169,8 +173,8 @@ fn open_socket(
     stream: &mut TcpStream,
     accept: &str,
     rest: Vec<u8>,
-    page: &Arc<Page>,
-    hub: &Hub,
+    page: &Arc<OpenPage>,
+    pages: &Pages,
 ) -> io::Result<()> {
     let head = format!(
         "HTTP/1.1 101 Switching Protocols\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n\
@@ -183,7 +187,7 @@ fn open_socket(
         .max_frame_size(Some(MAX_COMMAND))
         .read_buffer_size(4096);
     let mut socket = WebSocket::from_partially_read(&mut *stream, rest, Role::Server, Some(limits));
-    match talk(&mut socket, page, hub) {
+    match talk(&mut socket, page, pages) {
         // A browser that went away.
         Err(Error::ConnectionClosed | Error::AlreadyClosed) => Ok(()),
         Err(Error::Io(error)) => Err(error),
@@ -193,11 +197,15 @@ fn open_socket(
 }
 
 /// Sends what waits for the page and hears it, until one of the two ends it.
-fn talk(socket: &mut WebSocket<&mut TcpStream>, page: &Page, hub: &Hub) -> Result<(), Error> {
+fn talk(
+    socket: &mut WebSocket<&mut TcpStream>,
+    page: &OpenPage,
+    pages: &Pages,
+) -> Result<(), Error> {
     let mut unsent_since: Option<Instant> = None;
     loop {
         page.hush();
-        hear(socket, page, hub)?;
+        hear(socket, page, pages)?;
         if unsent_since.is_some() && is_sent(socket.flush())? {
             unsent_since = None;
         }
@@ -239,18 +247,22 @@ fn is_sent(outcome: Result<(), Error>) -> Result<bool, Error> {
 }
 
 /// Takes what the page says.
-fn hear(socket: &mut WebSocket<&mut TcpStream>, page: &Page, hub: &Hub) -> Result<(), Error> {
+fn hear(
+    socket: &mut WebSocket<&mut TcpStream>,
+    page: &OpenPage,
+    pages: &Pages,
+) -> Result<(), Error> {
     loop {
         match socket.read() {
             Ok(Message::Text(text)) => match serde_json::from_str(text.as_str()) {
                 Ok(Command::Pictures(wants)) => {
                     page.outbox(|outbox| outbox.set_wants_pictures(wants));
-                    hub.changed();
-                    page.remote().inspect(|remote| remote.wake());
+                    pages.changed();
+                    page.remote.iter().for_each(Remote::wake);
                 }
                 Ok(Command::Shown(count)) => {
                     page.outbox(|outbox| (0..count.min(8)).for_each(|_| outbox.shown()));
-                    page.remote().inspect(|remote| remote.wake());
+                    page.remote.iter().for_each(Remote::wake);
                 }
                 Ok(other) => {
                     if !other.wish().is_some_and(|wish| page.ask(wish)) {

@@ -1,7 +1,7 @@
 //! Why this pose, or why none: `flockeye explain` for a page that asks.
 //!
-//! A process of its own works the answer out from the recording that is shown, or from the one that is being written.
-//! It replays the flight up to the frame, so one answer is made at a time.
+//! A process of its own works the answer out from the recording that is shown, or from the one that
+//! is being written. It replays the flight up to the frame, so one answer is made at a time.
 
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
@@ -15,7 +15,6 @@ use flockeye_contract::wire::is_name;
 use flockeye_runtime::instance::Instance;
 use flockeye_runtime::recorders;
 
-/// The program that answers.
 const PROGRAM: &str = "flockeye-replay";
 /// An answer takes so long at most. A long flight is replayed faster than it was flown.
 const PATIENCE: Duration = Duration::from_secs(300);
@@ -26,14 +25,14 @@ const LOOK_PERIOD: Duration = Duration::from_millis(20);
 
 /// What a page asks: why this frame has this pose of a neighbour, or none.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Question {
+pub struct PoseQuestion {
     /// The name of the neighbour's body.
     target: String,
     /// The frame, as [`crate::wire::key`] names it.
     frame: String,
 }
 
-impl Question {
+impl PoseQuestion {
     /// Reads `target=NAME&frame=KEY`. `None`: it is none.
     pub fn of_query(query: &str) -> Option<Self> {
         let value = |name: &str| {
@@ -48,34 +47,19 @@ impl Question {
     }
 }
 
-/// An answer.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Explanation {
-    /// For people, in lines.
-    pub text: String,
-    /// What was seen there, as PNG; empty where there is nothing to draw.
-    pub png: Vec<u8>,
-}
-
-/// Why there is no answer.
 #[derive(Debug, thiserror::Error)]
 pub enum NoExplanation {
-    /// Another page's question is being answered.
     #[error("another question is being answered. Cure: ask again when it is done")]
     Busy,
-    /// No recorder is running.
     #[error(
         "this flight is not recorded, and an answer is worked out from a recording. Cure: recording.folder in \
          pipeline.yaml, with recording.frames: views"
     )]
     NotRecorded,
-    /// The program cannot be started, or its answer cannot be read.
     #[error("`flockeye explain` cannot be run: {0}")]
     Run(String),
-    /// The program's own words.
     #[error("{0}")]
     Refused(String),
-    /// The program did not answer in time.
     #[error("no answer came within {} s. Cure: `flockeye explain` in a terminal takes as long as it needs", PATIENCE.as_secs())]
     TooSlow,
 }
@@ -88,36 +72,31 @@ impl From<io::Error> for NoExplanation {
 
 /// From which recording answers are worked out.
 #[derive(Debug)]
-enum Source {
+enum AnswerSource {
     /// The one that is shown.
     File(PathBuf),
     /// The one that is written of this running pipeline.
     Pipeline(Instance),
 }
 
-/// Answers questions.
 #[derive(Debug)]
 pub struct Explainer {
-    source: Source,
+    source: AnswerSource,
     turn: Mutex<()>,
 }
 
 impl Explainer {
-    /// For a recording that is shown.
     pub fn of_recording(path: &Path) -> Self {
-        Self { source: Source::File(path.to_owned()), turn: Mutex::new(()) }
+        Self { source: AnswerSource::File(path.to_owned()), turn: Mutex::new(()) }
     }
 
-    /// For a running pipeline.
     pub fn of_pipeline(instance: Instance) -> Self {
-        Self { source: Source::Pipeline(instance), turn: Mutex::new(()) }
+        Self { source: AnswerSource::Pipeline(instance), turn: Mutex::new(()) }
     }
 
-    /// Answers. It takes as long as the flight is replayed.
-    ///
-    /// # Errors
-    /// [`NoExplanation`].
-    pub fn answer(&self, question: &Question) -> Result<Explanation, NoExplanation> {
+    /// Answers with lines for people, and what was seen there as PNG, empty where there is nothing
+    /// to draw. It takes as long as the flight is replayed.
+    pub fn answer(&self, question: &PoseQuestion) -> Result<(String, Vec<u8>), NoExplanation> {
         let _turn = match self.turn.try_lock() {
             Ok(turn) => turn,
             Err(TryLockError::WouldBlock) => return Err(NoExplanation::Busy),
@@ -126,8 +105,8 @@ impl Explainer {
         let program =
             program::find(PROGRAM).map_err(|error| NoExplanation::Run(format!("{error:#}")))?;
         match &self.source {
-            Source::File(path) => run(&program, path, question),
-            Source::Pipeline(instance) => {
+            AnswerSource::File(path) => run(&program, path, question),
+            AnswerSource::Pipeline(instance) => {
                 let recording = recorders::recording(instance).ok_or(NoExplanation::NotRecorded)?;
                 match run(&program, &recording, question) {
                     // The frame may be so new that it is not in the file yet.
@@ -145,8 +124,8 @@ impl Explainer {
 fn run(
     program: &Path,
     recording: &Path,
-    question: &Question,
-) -> Result<Explanation, NoExplanation> {
+    question: &PoseQuestion,
+) -> Result<(String, Vec<u8>), NoExplanation> {
     let image = tempfile::Builder::new().prefix("flockeye-").suffix(".png").tempfile()?;
     let mut command = Command::new(program);
     command.arg("explain").arg(recording);
@@ -163,7 +142,7 @@ fn run(
         false => Err(NoExplanation::TooSlow),
         true if text.is_empty() => Err(NoExplanation::Refused(last_line(&complaint).to_owned())),
         // The file stays empty where there was nothing to draw.
-        true => Ok(Explanation { text, png: std::fs::read(image.path())? }),
+        true => Ok((text, std::fs::read(image.path())?)),
     }
 }
 
@@ -209,7 +188,8 @@ mod tests {
 
     #[test]
     fn a_question_names_a_body_and_a_frame() {
-        let question = Question::of_query("token=open-sesame&target=alpha-2&frame=1.0.38").unwrap();
+        let question =
+            PoseQuestion::of_query("token=open-sesame&target=alpha-2&frame=1.0.38").unwrap();
         assert_eq!((question.target.as_str(), question.frame.as_str()), ("alpha-2", "1.0.38"));
         for query in [
             "",
@@ -223,13 +203,13 @@ mod tests {
             "target=a%20b&frame=1.0.38",
             "target=&frame=1.0.38",
         ] {
-            assert_eq!(Question::of_query(query), None, "{query}");
+            assert_eq!(PoseQuestion::of_query(query), None, "{query}");
         }
     }
 
     #[test]
     fn what_the_program_says_comes_back() {
-        let question = Question::of_query("target=alpha&frame=1.0.38").unwrap();
+        let question = PoseQuestion::of_query("target=alpha&frame=1.0.38").unwrap();
         let script = |text: &str| {
             let mut file = tempfile::Builder::new().suffix(".sh").tempfile().unwrap();
             io::Write::write_all(&mut file, text.as_bytes()).unwrap();
@@ -240,22 +220,22 @@ mod tests {
         };
         let ask = |program: &Path| run(program, Path::new("/nowhere/a.mcap"), &question);
         let draws = script("#!/bin/sh\necho \"$@\"\necho drawn > \"$7\"\n");
-        let answer = ask(&draws).unwrap();
+        let (text, png) = ask(&draws).unwrap();
         let wanted = "explain /nowhere/a.mcap --target=alpha --frame 1.0.38 --image ";
-        assert!(answer.text.starts_with(wanted), "{}", answer.text);
-        assert_eq!(answer.png, b"drawn\n");
+        assert!(text.starts_with(wanted), "{text}");
+        assert_eq!(png, b"drawn\n");
         let refuses = script("#!/bin/sh\necho log >&2\necho 'it has no such frame' >&2\nexit 1\n");
         let refused = ask(&refuses).unwrap_err();
         assert_eq!(refused.to_string(), "it has no such frame");
-        let told = ask(&script("#!/bin/sh\necho told\nexit 1\n")).unwrap();
-        assert_eq!((told.text.as_str(), told.png.len()), ("told\n", 0));
+        let (text, png) = ask(&script("#!/bin/sh\necho told\nexit 1\n")).unwrap();
+        assert_eq!((text.as_str(), png.len()), ("told\n", 0));
         assert!(matches!(ask(Path::new("/nowhere/program")), Err(NoExplanation::Run(_))));
     }
 
     #[test]
     fn one_question_is_answered_at_a_time() {
         let explainer = Explainer::of_recording(Path::new("/nowhere/a.mcap"));
-        let question = Question::of_query("target=alpha&frame=1.0.38").unwrap();
+        let question = PoseQuestion::of_query("target=alpha&frame=1.0.38").unwrap();
         let _turn = explainer.turn.lock().unwrap();
         assert!(matches!(explainer.answer(&question), Err(NoExplanation::Busy)));
     }

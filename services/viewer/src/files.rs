@@ -1,13 +1,10 @@
 //! The page itself: files that this program carries. Nothing else is ever served.
 
-/// A file of the page.
 #[derive(Debug, PartialEq, Eq)]
-pub struct File {
+pub struct PageFile {
     /// Its path in the address.
     pub path: &'static str,
-    /// Its media type.
     pub media_type: &'static str,
-    /// What is in it.
     pub content: &'static [u8],
 }
 
@@ -18,7 +15,7 @@ pub const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self
 macro_rules! files {
     ($($path:literal => $media_type:literal, $file:literal;)+) => {
         /// All of them.
-        pub const FILES: &[File] = &[$(File {
+        pub const FILES: &[PageFile] = &[$(PageFile {
             path: $path,
             media_type: $media_type,
             content: include_bytes!(concat!("../page/", $file)),
@@ -45,8 +42,7 @@ files! {
     "/timelines.js" => "text/javascript; charset=utf-8", "timelines.js";
 }
 
-/// The file at this path.
-pub fn find(path: &str) -> Option<&'static File> {
+pub fn find(path: &str) -> Option<&'static PageFile> {
     FILES.iter().find(|file| file.path == path)
 }
 

@@ -1,8 +1,8 @@
-//! The page's scene for Foxglove and Lichtblick, over Foxglove's WebSocket protocol, with the panels
-//! and plots of these programs.
+//! The page's scene for Foxglove and Lichtblick, over Foxglove's WebSocket protocol, with the
+//! panels and plots of these programs.
 //!
-//! The crate `foxglove` speaks the protocol, in threads of its own. A client that is slow loses its oldest
-//! messages. Pictures are made while somebody has subscribed to them, and so are close-ups.
+//! The crate `foxglove` speaks the protocol, in threads of its own. A client that is slow loses its
+//! oldest messages. Pictures are made while somebody has subscribed to them, and so are close-ups.
 //!
 //! | topic | schema |
 //! | --- | --- |
@@ -17,6 +17,7 @@ mod annotations;
 mod scene;
 mod values;
 
+use std::collections::BTreeMap;
 use std::net::SocketAddr;
 use std::sync::Arc;
 
@@ -34,22 +35,17 @@ use foxglove::{
     WebSocketServerHandle,
 };
 
-use crate::hub::Wanted;
-use crate::scene::Ended;
-use crate::wire;
+use crate::pages::Demand;
+use crate::scene::EndedFrame;
+use crate::wire::ProcessReport;
 use values::{CAMERA, OBSERVER, pose, timestamp};
 
 /// Messages that wait for a slow client at most.
 const BACKLOG: usize = 64;
 
-/// Foxglove's server, and the channels of the pipeline that is followed.
+/// The channels of the pipeline that is followed, of a server of Foxglove's.
 pub struct FoxgloveView {
     context: Arc<Context>,
-    channels: Channels,
-}
-
-/// The channels of one pipeline.
-struct Channels {
     resolved: Resolved,
     transforms: Channel<FrameTransforms>,
     scene: Channel<SceneUpdate>,
@@ -68,8 +64,8 @@ struct Channels {
 }
 
 impl FoxgloveView {
-    /// Advertises the channels of a pipeline and listens at `address`, in threads that end with the process.
-    /// Returns the port, too.
+    /// Advertises the channels of a pipeline and listens at `address`, in threads that end with the
+    /// process. Returns the port, too.
     ///
     /// # Errors
     /// The pipeline's configuration cannot be read; the address is taken or not this machine's.
@@ -91,7 +87,7 @@ impl FoxgloveView {
     ) -> anyhow::Result<(Self, WebSocketServerHandle)> {
         let context = Context::new();
         // First, because a client that subscribes to a channel while it is made may be refused.
-        let channels = Channels::new(&context, resolved)?;
+        let view = Self::new(context.clone(), resolved)?;
         let server = WebSocketServer::new()
             .context(&context)
             .name(format!("Flockeye {name}"))
@@ -100,77 +96,10 @@ impl FoxgloveView {
         let server = more(server)
             .start_blocking()
             .with_context(|| format!("cannot serve Foxglove at {address}"))?;
-        Ok((Self { context, channels }, server))
+        Ok((view, server))
     }
 
-    /// Sets the time of a recording that the next messages carry, UTC nanoseconds.
-    pub fn set_time(&mut self, utc_ns: u64) {
-        self.channels.recorded_ns = i64::try_from(utc_ns).ok();
-    }
-
-    /// Advertises the channels of a pipeline, in place of those of another.
-    ///
-    /// # Errors
-    /// A channel cannot be made.
-    pub fn begin(&mut self, resolved: &Resolved) -> anyhow::Result<()> {
-        if self.channels.resolved.pipeline != resolved.pipeline {
-            self.channels.close();
-            self.channels = Channels::new(&self.context, resolved)?;
-        }
-        Ok(())
-    }
-
-    /// What the clients have subscribed to.
-    pub fn wanted(&self) -> Wanted {
-        let channels = &self.channels;
-        let pictures = channels.sphere.has_sinks() || channels.annotations.has_sinks();
-        let closeups = channels.closeups.iter().any(Channel::has_sinks);
-        Wanted { anything: pictures || closeups || channels.wants_frames(), pictures, closeups }
-    }
-
-    /// Sends what is known of a frame.
-    pub fn frame(&self, ended: &Ended) {
-        self.channels.frame(ended);
-    }
-
-    /// Sends a frame's picture with its annotations, where it has ended. `size`: its sides, pixels.
-    pub fn picture(&self, stamp: &FrameStamp, ended: Option<&Ended>, size: [u32; 2], jpeg: &[u8]) {
-        let channels = &self.channels;
-        let at = channels.time(stamp);
-        let sphere = &channels.sphere;
-        put(sphere, at, || image(CAMERA, channels.timestamp(stamp), jpeg));
-        if let Some(ended) = ended {
-            let stamped = channels.timestamp(stamp);
-            put(&channels.annotations, at, || {
-                annotations::annotations(&channels.resolved, ended, size, stamped)
-            });
-        }
-    }
-
-    /// Sends a close-up.
-    pub fn closeup(&self, stamp: &FrameStamp, target: u32, jpeg: &[u8]) {
-        let channels = &self.channels;
-        if let Some(channel) = channels.closeups.get(target as usize) {
-            put(channel, channels.time(stamp), || image(CAMERA, channels.timestamp(stamp), jpeg));
-        }
-    }
-
-    /// Sends what the stages report.
-    pub fn stages(&self, stages: &wire::Stages) {
-        let channels = &self.channels;
-        if channels.stages.has_sinks()
-            && let Ok(json) = serde_json::to_vec(stages)
-        {
-            match channels.recorded_ns {
-                Some(at_ns) => channels.stages.log_with_meta(&json, meta(at_ns)),
-                None => channels.stages.log(&json),
-            }
-        }
-    }
-}
-
-impl Channels {
-    fn new(context: &Arc<Context>, resolved: &Resolved) -> anyhow::Result<Self> {
+    fn new(context: Arc<Context>, resolved: &Resolved) -> anyhow::Result<Self> {
         let json = |topic: &str| {
             let channel = context.channel_builder(topic).message_encoding("json").build_raw();
             channel.with_context(|| format!("the channel {topic} cannot be made"))
@@ -195,7 +124,22 @@ impl Channels {
             // A lossless run has the recording's own time.
             unix_from_exposure_ns: if is_real_time { unix_ns - clock::monotonic_ns() } else { 0 },
             recorded_ns: None,
+            context,
         })
+    }
+
+    /// Sets the time of a recording that the next messages carry, UTC nanoseconds.
+    pub fn set_time(&mut self, utc_ns: u64) {
+        self.recorded_ns = i64::try_from(utc_ns).ok();
+    }
+
+    /// Advertises the channels of a pipeline, in place of those of another.
+    pub fn begin(&mut self, resolved: &Resolved) -> anyhow::Result<()> {
+        if self.resolved.pipeline != resolved.pipeline {
+            self.close();
+            *self = Self::new(self.context.clone(), resolved)?;
+        }
+        Ok(())
     }
 
     fn close(&self) {
@@ -209,26 +153,23 @@ impl Channels {
         self.stages.close();
     }
 
-    fn wants_frames(&self) -> bool {
-        self.transforms.has_sinks()
+    /// What the clients have subscribed to.
+    pub fn wanted(&self) -> Demand {
+        let pictures = self.sphere.has_sinks() || self.annotations.has_sinks();
+        let closeups = self.closeups.iter().any(Channel::has_sinks);
+        let anything = pictures
+            || closeups
+            || self.transforms.has_sinks()
             || self.scene.has_sinks()
             || self.poses.iter().any(Channel::has_sinks)
             || self.frames.has_sinks()
-            || self.stages.has_sinks()
+            || self.stages.has_sinks();
+        Demand { anything, pictures, closeups }
     }
 
-    /// Nanoseconds since 1970.
-    fn time(&self, stamp: &FrameStamp) -> i64 {
-        let exposure_ns = stamp.exposure_ns.saturating_add(self.unix_from_exposure_ns);
-        self.recorded_ns.unwrap_or(exposure_ns)
-    }
-
-    fn timestamp(&self, stamp: &FrameStamp) -> Timestamp {
-        timestamp(self.time(stamp))
-    }
-
-    fn frame(&self, ended: &Ended) {
-        let (at, stamped) = (self.time(&ended.stamp), self.timestamp(&ended.stamp));
+    /// Sends what is known of a frame.
+    pub fn frame(&self, ended: &EndedFrame) {
+        let (at, stamped) = self.time(&ended.stamp);
         let tracks = &ended.tracks;
         put(&self.transforms, at, || scene::transforms(&self.resolved, tracks, stamped));
         put(&self.scene, at, || scene::scene(&self.resolved, tracks, stamped));
@@ -245,6 +186,48 @@ impl Channels {
         {
             self.frames.log_with_meta(&json, meta(at));
         }
+    }
+
+    /// Sends a frame's picture with its annotations, where it has ended. `size`: its sides, pixels.
+    pub fn picture(
+        &self,
+        stamp: &FrameStamp,
+        ended: Option<&EndedFrame>,
+        size: [u32; 2],
+        jpeg: &[u8],
+    ) {
+        let (at, stamped) = self.time(stamp);
+        put(&self.sphere, at, || image(CAMERA, stamped, jpeg));
+        if let Some(ended) = ended {
+            put(&self.annotations, at, || {
+                annotations::annotations(&self.resolved, ended, size, stamped)
+            });
+        }
+    }
+
+    pub fn closeup(&self, stamp: &FrameStamp, target: u32, jpeg: &[u8]) {
+        if let Some(channel) = self.closeups.get(target as usize) {
+            let (at, stamped) = self.time(stamp);
+            put(channel, at, || image(CAMERA, stamped, jpeg));
+        }
+    }
+
+    pub fn stages(&self, stages: &[ProcessReport]) {
+        if self.stages.has_sinks()
+            && let Ok(json) = serde_json::to_vec(&BTreeMap::from([("stages", stages)]))
+        {
+            match self.recorded_ns {
+                Some(at_ns) => self.stages.log_with_meta(&json, meta(at_ns)),
+                None => self.stages.log(&json),
+            }
+        }
+    }
+
+    /// The time that messages of a frame carry: nanoseconds since 1970, and the same for Foxglove.
+    fn time(&self, stamp: &FrameStamp) -> (i64, Timestamp) {
+        let exposure_ns = stamp.exposure_ns.saturating_add(self.unix_from_exposure_ns);
+        let at_ns = self.recorded_ns.unwrap_or(exposure_ns);
+        (at_ns, timestamp(at_ns))
     }
 }
 

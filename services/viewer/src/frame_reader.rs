@@ -4,18 +4,17 @@ use flockeye_config::Resolved;
 use flockeye_contract::{Frames, Track, TrackState};
 use flockeye_runtime::logs::Throttle;
 use flockeye_runtime::ports::{Message, PortError, Ports, Subscriber};
-use tungstenite::Message as PageMessage;
 
 use crate::audience::Audience;
 use crate::closeup::CloseupMaker;
 use crate::held::Held;
-use crate::hub::Wanted;
-use crate::outbox::Kind;
+use crate::outbox::OutboxKind;
+use crate::pages::Demand;
 use crate::picture::PictureMaker;
-use crate::scene::Ended;
-use crate::wire::{self, Head, PictureHead};
+use crate::scene::EndedFrame;
+use crate::wire::{self, BinaryHead};
 
-/// Pictures that could not be had are tried again after this long, nanoseconds.
+/// FramePictures that could not be had are tried again after this long, nanoseconds.
 const RETRY_PERIOD_NS: i64 = 3_000_000_000;
 /// Close-ups for each picture: more would cost more than the picture.
 const CLOSEUPS: usize = 2;
@@ -25,7 +24,7 @@ pub struct FrameReader<'p> {
     ports: &'p Ports,
     resolved: &'p Resolved,
     rate: f64,
-    pictures: Option<Pictures>,
+    pictures: Option<FramePictures>,
     /// Why there are none, and when to try again.
     trouble: Option<(String, i64)>,
     /// Which neighbour's close-up is next.
@@ -38,14 +37,14 @@ impl<'p> FrameReader<'p> {
         Self { ports, resolved, rate, pictures: None, trouble: None, turn: 0 }
     }
 
-    /// Begins or ends to read, and holds the newest frame while a picture of it `is_due`. Returns why there are no
-    /// pictures, if they are wanted.
+    /// Begins or ends to read, and holds the newest frame while a picture of it `is_due`. Returns
+    /// why there are no pictures, if they are wanted.
     ///
     /// # Errors
     /// Frames cannot be read any more.
     pub fn receive(
         &mut self,
-        wanted: Wanted,
+        wanted: Demand,
         is_due: bool,
         now_ns: i64,
     ) -> Result<String, PortError> {
@@ -56,7 +55,7 @@ impl<'p> FrameReader<'p> {
         // While a stage is swapped there may be no room.
         let is_time = self.trouble.as_ref().is_none_or(|(_, retry_ns)| now_ns > *retry_ns);
         if self.pictures.is_none() && is_time {
-            match Pictures::open(self.ports, self.resolved, self.rate) {
+            match FramePictures::open(self.ports, self.resolved, self.rate) {
                 Ok(pictures) => (self.pictures, self.trouble) = (Some(pictures), None),
                 Err(error) => {
                     let retry_ns = now_ns + RETRY_PERIOD_NS;
@@ -71,7 +70,7 @@ impl<'p> FrameReader<'p> {
     }
 
     /// Shows a frame that has ended, if it is the one that a picture is due of.
-    pub fn ended(&mut self, ended: &Ended, audience: &Audience, wanted: Wanted) {
+    pub fn ended(&mut self, ended: &EndedFrame, audience: &Audience, wanted: Demand) {
         let Some(pictures) = &mut self.pictures else { return };
         let Some(frame) = pictures.held.ended(&ended.stamp) else { return };
         if wanted.pictures {
@@ -89,7 +88,7 @@ impl<'p> FrameReader<'p> {
     }
 
     /// Shows a frame that does not end.
-    pub fn overdue(&mut self, audience: &Audience, wanted: Wanted, now_ns: i64) {
+    pub fn overdue(&mut self, audience: &Audience, wanted: Demand, now_ns: i64) {
         if let Some(pictures) = &mut self.pictures
             && let Some((_, frame)) = pictures.held.overdue(now_ns)
             && wanted.pictures
@@ -105,7 +104,7 @@ pub fn is_shown_closely(track: &&Track) -> bool {
 }
 
 /// What makes pictures of frames.
-struct Pictures {
+struct FramePictures {
     frames: Subscriber<Frames>,
     held: Held<Message<Frames>>,
     maker: PictureMaker,
@@ -115,7 +114,7 @@ struct Pictures {
     _ports: Ports,
 }
 
-impl Pictures {
+impl FramePictures {
     fn open(ports: &Ports, resolved: &Resolved, rate: f64) -> anyhow::Result<Self> {
         let mut ports = ports.beside();
         Ok(Self {
@@ -141,14 +140,13 @@ impl Pictures {
         Ok(())
     }
 
-    fn show(&mut self, frame: &Message<Frames>, ended: Option<&Ended>, audience: &Audience) {
+    fn show(&mut self, frame: &Message<Frames>, ended: Option<&EndedFrame>, audience: &Audience) {
         let size = self.maker.size();
         let stamp = &frame.header.stamp;
         match self.maker.jpeg(&frame.header, frame.items()) {
             Ok(jpeg) => {
-                let head = Head::Picture(PictureHead { key: wire::key(stamp), size });
-                let message = PageMessage::binary(wire::binary(&head, jpeg));
-                audience.hub.put(Kind::Picture, &message);
+                let head = BinaryHead::Picture { key: wire::key(stamp), size };
+                audience.pages.put(OutboxKind::Picture, &wire::binary(&head, jpeg));
                 audience.to_foxglove(|foxglove| foxglove.picture(stamp, ended, size, jpeg));
             }
             Err(error) => self.complain(&error),
@@ -164,8 +162,8 @@ impl Pictures {
     ) {
         match self.closeups.closeup(&frame.header, frame.items(), track, key) {
             Ok(Some((head, jpeg))) => {
-                let message = wire::binary(&Head::Closeup(head), &jpeg);
-                audience.hub.put(Kind::Closeup(track.target), &PageMessage::binary(message));
+                let message = wire::binary(&BinaryHead::Closeup(head), &jpeg);
+                audience.pages.put(OutboxKind::Closeup(track.target), &message);
                 let stamp = &frame.header.stamp;
                 audience.to_foxglove(|foxglove| foxglove.closeup(stamp, track.target, &jpeg));
             }

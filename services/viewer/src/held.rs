@@ -1,15 +1,15 @@
 //! Which frame a picture is made of.
 //!
-//! A picture is shown with what was found in it. So a frame or two are held, unread and uncopied, until one of
-//! them has ended, and only while a picture is due. Where nothing ends any more (fusion hangs, say), the
-//! picture is shown alone after a while.
+//! A picture is shown with what was found in it. So a frame or two are held, unread and uncopied,
+//! until one of them has ended, and only while a picture is due. Where nothing ends any more
+//! (fusion hangs, say), the picture is shown alone after a while.
 
 use std::collections::VecDeque;
 
 use flockeye_contract::FrameStamp;
 
-/// Frames that are held at most. iceoryx2 lets a reader borrow four ([`flockeye_runtime::memory`]), and one
-/// more is borrowed while the newest is taken.
+/// Frames that are held at most. iceoryx2 lets a reader borrow four ([`flockeye_runtime::memory`]),
+/// and one more is borrowed while the newest is taken.
 const MOST: usize = 2;
 /// A picture that is due for so long is shown without what was found in it, nanoseconds.
 const PATIENCE_NS: i64 = 400_000_000;
@@ -29,8 +29,8 @@ impl<F> Held<F> {
         Self { period_ns, due_ns: i64::MIN, frames: VecDeque::new() }
     }
 
-    /// Takes a new frame; lets it go at once unless a picture is due. The oldest stays, because it ends first;
-    /// behind it the newest does.
+    /// Takes a new frame; lets it go at once unless a picture is due. The oldest stays, because it
+    /// ends first; behind it the newest does.
     pub fn frame(&mut self, stamp: FrameStamp, frame: F) {
         if stamp.published_ns < self.due_ns {
             return;
@@ -41,8 +41,8 @@ impl<F> Held<F> {
         self.frames.push_back((stamp, frame));
     }
 
-    /// The frame that has ended, if it is held: a picture is to be made of it now. Frames end in order, so
-    /// older ones are let go.
+    /// The frame that has ended, if it is held: a picture is to be made of it now. Frames end in
+    /// order, so older ones are let go.
     pub fn ended(&mut self, stamp: &FrameStamp) -> Option<F> {
         while self.frames.front().is_some_and(|(held, _)| held.order() < stamp.order()) {
             self.frames.pop_front();
@@ -57,7 +57,6 @@ impl<F> Held<F> {
         (now_ns.saturating_sub(oldest.published_ns) > PATIENCE_NS).then(|| self.take())?
     }
 
-    /// Lets all go.
     pub fn clear(&mut self) {
         self.frames.clear();
     }
@@ -65,7 +64,8 @@ impl<F> Held<F> {
     fn take(&mut self) -> Option<(FrameStamp, F)> {
         let taken = self.frames.pop_front()?;
         let (at_ns, half_ns) = (taken.0.published_ns, self.period_ns / 2);
-        // In step with the clock, so that the mean rate is the wanted one; but nothing is caught up.
+        // In step with the clock, so that the mean rate is the wanted one; but nothing is caught
+        // up.
         let in_step = self.due_ns.saturating_add(self.period_ns);
         self.due_ns = in_step.max(at_ns.saturating_add(half_ns));
         self.frames.retain(|(held, _)| held.published_ns >= self.due_ns);
@@ -85,7 +85,8 @@ mod tests {
         FrameStamp { sequence, published_ns: at_ms * MS, ..FrameStamp::default() }
     }
 
-    /// Pictures in a second of a source that sends a frame each 33 ms, where of `skipped` frames one never ends.
+    /// Pictures in a second of a source that sends a frame each 33 ms, where of `skipped` frames
+    /// one never ends.
     fn pictures(rate: i64, latency_ms: i64, skipped: i64) -> i32 {
         let mut held = Held::new(1000 * MS / rate);
         let mut pictures = 0;

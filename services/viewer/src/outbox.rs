@@ -1,27 +1,25 @@
 //! What waits for one page.
 //!
-//! A page that reads slowly gets the newest: of most kinds one message waits, and it is replaced. A page says
-//! which pictures it has shown, and no more than a few are under way to it at once. So neither this process nor
-//! the system's buffers fill up with old pictures.
+//! A page that reads slowly gets the newest: of most kinds one message waits, and it is replaced. A
+//! page says which pictures it has shown, and no more than a few are under way to it at once. So
+//! neither this process nor the system's buffers fill up with old pictures.
 
 use std::collections::VecDeque;
 
 /// What a message is, for the rule by which it waits.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Kind {
+pub enum OutboxKind {
     /// Must arrive: only a newer one replaces it.
     Hello,
     /// One for each frame: the oldest is dropped where there are too many.
     Frame,
-    /// The newest counts.
+    // Of these the newest counts.
     Stages,
-    /// The newest counts.
     Swarm,
-    /// The newest counts.
     Status,
-    /// The newest counts.
     Overview,
-    /// Part of an answer to the page: it must arrive, in its order. Whoever answers waits for the page.
+    /// Part of an answer to the page: it must arrive, in its order. Whoever answers waits for the
+    /// page.
     Answer,
     /// The newest counts, and it needs a credit.
     Picture,
@@ -38,36 +36,36 @@ const CREDITS: u32 = 3;
 
 /// Messages for one page, in the order in which they came.
 #[derive(Debug)]
-pub struct Outbox<M> {
-    waiting: VecDeque<(Kind, M)>,
+pub struct PageOutbox<M> {
+    waiting: VecDeque<(OutboxKind, M)>,
     wants_pictures: bool,
     under_way: u32,
 }
 
-impl<M> Default for Outbox<M> {
+impl<M> Default for PageOutbox<M> {
     fn default() -> Self {
         Self { waiting: VecDeque::new(), wants_pictures: false, under_way: 0 }
     }
 }
 
-impl<M> Outbox<M> {
+impl<M> PageOutbox<M> {
     /// Puts a message in. Returns false if it is not for this page.
-    pub fn put(&mut self, kind: Kind, message: M) -> bool {
+    pub fn put(&mut self, kind: OutboxKind, message: M) -> bool {
         match kind {
-            Kind::Picture if !self.takes_pictures() => return false,
-            Kind::Picture => self.under_way += 1,
-            Kind::Closeup(_) if !self.wants_pictures => return false,
+            OutboxKind::Picture if !self.takes_pictures() => return false,
+            OutboxKind::Picture => self.under_way += 1,
+            OutboxKind::Closeup(_) if !self.wants_pictures => return false,
             _ => {}
         }
-        let is_kind = |waiting: &(Kind, M)| waiting.0 == kind;
+        let is_kind = |waiting: &(OutboxKind, M)| waiting.0 == kind;
         let count =
-            |of: fn(&Kind) -> bool| self.waiting.iter().filter(|(kind, _)| of(kind)).count();
+            |of: fn(&OutboxKind) -> bool| self.waiting.iter().filter(|(kind, _)| of(kind)).count();
         let replaced = match kind {
-            Kind::Frame if count(|kind| *kind == Kind::Frame) < MOST_FRAMES => None,
-            Kind::Answer => None,
-            Kind::Closeup(_) if !self.waiting.iter().any(is_kind) => {
-                let is_full = count(|kind| matches!(kind, Kind::Closeup(_))) >= MOST_CLOSEUPS;
-                let oldest = |(kind, _): &(Kind, M)| matches!(kind, Kind::Closeup(_));
+            OutboxKind::Frame if count(|kind| *kind == OutboxKind::Frame) < MOST_FRAMES => None,
+            OutboxKind::Answer => None,
+            OutboxKind::Closeup(_) if !self.waiting.iter().any(is_kind) => {
+                let is_full = count(|kind| matches!(kind, OutboxKind::Closeup(_))) >= MOST_CLOSEUPS;
+                let oldest = |(kind, _): &(OutboxKind, M)| matches!(kind, OutboxKind::Closeup(_));
                 is_full.then(|| self.waiting.iter().position(oldest)).flatten()
             }
             _ => self.waiting.iter().position(is_kind),
@@ -75,13 +73,12 @@ impl<M> Outbox<M> {
         if let Some(at) = replaced {
             self.waiting.remove(at);
             // What is dropped here is never shown.
-            self.under_way -= u32::from(kind == Kind::Picture);
+            self.under_way -= u32::from(kind == OutboxKind::Picture);
         }
         self.waiting.push_back((kind, message));
         true
     }
 
-    /// The next message.
     pub fn take(&mut self) -> Option<M> {
         self.waiting.pop_front().map(|(_, message)| message)
     }
@@ -120,14 +117,14 @@ mod tests {
 
     #[test]
     fn a_page_that_reads_nothing_has_little_waiting() {
-        let mut outbox = Outbox::default();
+        let mut outbox = PageOutbox::default();
         outbox.set_wants_pictures(true);
-        outbox.put(Kind::Hello, "hello".to_owned());
+        outbox.put(OutboxKind::Hello, "hello".to_owned());
         for number in 0..10_000 {
-            outbox.put(Kind::Frame, format!("frame {number}"));
-            outbox.put(Kind::Stages, format!("stages {number}"));
-            outbox.put(Kind::Picture, format!("picture {number}"));
-            outbox.put(Kind::Closeup(number), format!("closeup {number}"));
+            outbox.put(OutboxKind::Frame, format!("frame {number}"));
+            outbox.put(OutboxKind::Stages, format!("stages {number}"));
+            outbox.put(OutboxKind::Picture, format!("picture {number}"));
+            outbox.put(OutboxKind::Closeup(number), format!("closeup {number}"));
         }
         assert!(outbox.waiting.len() <= 4 + MOST_FRAMES + MOST_CLOSEUPS, "{outbox:?}");
         assert_eq!(outbox.take().as_deref(), Some("hello"), "it must arrive");
@@ -139,26 +136,26 @@ mod tests {
 
     #[test]
     fn pictures_need_credit() {
-        let mut outbox = Outbox::default();
-        assert!(!outbox.put(Kind::Picture, 0), "nobody asked for it");
+        let mut outbox = PageOutbox::default();
+        assert!(!outbox.put(OutboxKind::Picture, 0), "nobody asked for it");
         outbox.set_wants_pictures(true);
         for number in 0..CREDITS {
-            assert!(outbox.put(Kind::Picture, number));
+            assert!(outbox.put(OutboxKind::Picture, number));
             assert_eq!(outbox.take(), Some(number));
         }
-        assert!(!outbox.takes_pictures() && !outbox.put(Kind::Picture, 9));
+        assert!(!outbox.takes_pictures() && !outbox.put(OutboxKind::Picture, 9));
         outbox.shown();
-        assert!(outbox.put(Kind::Picture, 10));
+        assert!(outbox.put(OutboxKind::Picture, 10));
         assert_eq!(outbox.take(), Some(10));
     }
 
     #[test]
     fn answers_arrive_all_and_in_their_order() {
-        let mut outbox = Outbox::default();
+        let mut outbox = PageOutbox::default();
         outbox.set_wants_pictures(true);
         for number in 0..1000 {
-            outbox.put(Kind::Answer, number);
-            outbox.put(Kind::Overview, -1);
+            outbox.put(OutboxKind::Answer, number);
+            outbox.put(OutboxKind::Overview, -1);
         }
         assert_eq!(outbox.waiting(), 1001);
         let answers: Vec<i32> = std::iter::from_fn(|| outbox.take()).filter(|n| *n >= 0).collect();

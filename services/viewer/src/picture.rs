@@ -19,28 +19,17 @@ const CLOSEUP_QUALITY: i32 = 92;
 /// Why a frame cannot be shown.
 #[derive(Debug, thiserror::Error)]
 pub enum PictureError {
-    /// The frame is not as large as configured.
     #[error("the frame is {width}x{height}, the camera {}x{}", .camera.0, .camera.1)]
     Size {
-        /// Width of the frame.
         width: u32,
-        /// Height of the frame.
         height: u32,
         /// Sides of the configured camera's frames.
         camera: (u32, u32),
     },
-    /// Fewer bytes than its header says.
     #[error("the frame has {found} bytes, its header says {needed}")]
-    TooShort {
-        /// By the header.
-        needed: usize,
-        /// In the message.
-        found: usize,
-    },
-    /// A recorded picture is none, or too large.
+    TooShort { needed: usize, found: usize },
     #[error("the recorded picture cannot be shown: {0}")]
     Recorded(&'static str),
-    /// OpenCV cannot.
     #[error("OpenCV: {0}")]
     OpenCv(#[from] opencv::Error),
 }
@@ -57,9 +46,6 @@ pub struct PictureMaker {
 
 impl PictureMaker {
     /// For frames of this camera.
-    ///
-    /// # Errors
-    /// OpenCV has no memory.
     pub fn new(camera: &Camera) -> opencv::Result<Self> {
         // Other threads would take processors from the pipeline.
         core::set_num_threads(1)?;
@@ -87,9 +73,6 @@ impl PictureMaker {
     }
 
     /// The picture of a frame, whose header has passed the contract's check.
-    ///
-    /// # Errors
-    /// [`PictureError`].
     pub fn jpeg(&mut self, header: &FrameHeader, pixels: &[u8]) -> Result<&[u8], PictureError> {
         let camera = (self.camera.width(), self.camera.height());
         let (width, height) = (header.width, header.height);
@@ -107,9 +90,6 @@ impl PictureMaker {
     }
 
     /// The picture of a frame that was decoded, of any size, from a recording.
-    ///
-    /// # Errors
-    /// [`PictureError`].
     pub fn jpeg_of_decoded(&mut self, decoded: &Mat) -> Result<&[u8], PictureError> {
         let camera = Size::new(self.camera.width() as i32, self.camera.height() as i32);
         if self.maps.is_none() || decoded.size()? == camera {
@@ -156,8 +136,8 @@ fn encode(pixels: &impl ToInputArray, quality: i32, jpeg: &mut Vector<u8>) -> op
     Ok(())
 }
 
-/// Where the pixels of an equirectangular picture lie in the frames of `camera`, in the form that OpenCV
-/// remaps fastest with.
+/// Where the pixels of an equirectangular picture lie in the frames of `camera`, in the form that
+/// OpenCV remaps fastest with.
 fn maps(camera: &Camera, size: Size) -> opencv::Result<[Mat; 2]> {
     let picture =
         Equirectangular { width: size.width.unsigned_abs(), height: size.height.unsigned_abs() };
@@ -179,9 +159,6 @@ fn maps(camera: &Camera, size: Size) -> opencv::Result<[Mat; 2]> {
 }
 
 /// Gray pixels, `width` in a row, as a JPEG of good quality.
-///
-/// # Errors
-/// OpenCV cannot.
 pub fn gray_jpeg(pixels: &[u8], width: usize, height: usize) -> opencv::Result<Vec<u8>> {
     let mat = Mat::new_rows_cols_with_data(height as i32, width as i32, pixels)?;
     let mut jpeg = Vector::new();
@@ -189,7 +166,8 @@ pub fn gray_jpeg(pixels: &[u8], width: usize, height: usize) -> opencv::Result<V
     Ok(jpeg.to_vec())
 }
 
-/// Sides of a JPEG, before anything of it is decoded: its frame header says them (ITU-T T.81, B.2.2).
+/// Sides of a JPEG, before anything of it is decoded: its frame header says them (ITU-T T.81,
+/// B.2.2).
 pub fn jpeg_size(jpeg: &[u8]) -> Option<[u32; 2]> {
     let mut rest = jpeg.strip_prefix(&[0xff, 0xd8])?;
     loop {

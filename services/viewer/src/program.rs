@@ -11,19 +11,17 @@ use clap::Parser;
 use flockeye_cli::running::{PipelineChoice, choose};
 use flockeye_cli::{Screen, signals};
 use rustix::process::setpriority_process;
-use tungstenite::Message;
 
 use crate::audience::Audience;
 use crate::explaining::Explainer;
 use crate::foxglove_view::FoxgloveView;
-use crate::hub::Hub;
-use crate::outbox::Kind;
+use crate::pages::Pages;
 use crate::recorded::overview::OverviewMaker;
 use crate::recorded::{Recorded, foxglove_player, player};
 use crate::request::{Access, is_token};
-use crate::watch::Watch;
-use crate::wire::{Status, Text};
-use crate::{server, wire};
+use crate::server;
+use crate::watch::PipelineWatch;
+use crate::wire::TextMessage;
 
 /// The view's nice value: whatever the pipeline wants to do comes first.
 const NICE: i32 = 10;
@@ -42,7 +40,8 @@ pub struct ViewArguments {
     /// Which pipeline.
     #[command(flatten)]
     pub running: PipelineChoice,
-    /// Where the page is served. Other machines reach it at another address than loopback, with --token.
+    /// Where the page is served. Other machines reach it at another address than loopback, with
+    /// --token.
     #[arg(long, value_name = "ADDRESS:PORT", default_value = "127.0.0.1:8760")]
     pub listen: SocketAddr,
     /// What a page must know to be shown anything: 8 to 128 letters, digits, `-`, `_`, `.` or `~`.
@@ -77,9 +76,9 @@ fn show_pipeline(
 ) -> anyhow::Result<()> {
     let instance = choose(&arguments.running)?;
     give_way();
-    let hub = Arc::new(Hub::default());
+    let pages = Arc::new(Pages::default());
     let explainer = Explainer::of_pipeline(instance.clone());
-    let page = serve(arguments, access, hub.clone(), explainer)?;
+    let page = serve(arguments, access, pages.clone(), explainer)?;
     let mut screen = Screen::new();
     let mut foxglove = None;
     if let Some(address) = arguments.foxglove {
@@ -88,7 +87,7 @@ fn show_pipeline(
         foxglove = Some(view);
     }
     screen.line(&format!("the view of '{}' is at {page}", instance.name()));
-    Watch::new(instance, Audience { hub, foxglove }, arguments.rate, stopping).run();
+    PipelineWatch::new(instance, Audience { pages, foxglove }, arguments.rate, stopping).run();
     Ok(())
 }
 
@@ -101,17 +100,15 @@ fn show_recording(
     give_way();
     let recorded = Arc::new(Recorded::open(file, arguments.rate)?);
     let mut screen = Screen::new();
-    if !recorded.trouble().is_empty() {
-        screen.line(recorded.trouble());
+    if !recorded.trouble.is_empty() {
+        screen.line(&recorded.trouble);
     }
     let played = recorded.clone();
     let start = move |page| player::start(played.clone(), page);
-    let hub = Arc::new(Hub::with_players(Box::new(start)));
-    let put = |kind, message: &Text<'_>| hub.put(kind, &Message::text(wire::text(message)));
-    put(Kind::Hello, &Text::Hello(recorded.hello()));
-    let status = Status { running: true, trouble: recorded.trouble().to_owned() };
-    put(Kind::Status, &Text::Status(&status));
-    let page = serve(arguments, access, hub.clone(), Explainer::of_recording(file))?;
+    let pages = Arc::new(Pages::with_players(Box::new(start)));
+    pages.tell(&TextMessage::Hello(&recorded.hello));
+    pages.tell(&TextMessage::Status { running: true, trouble: &recorded.trouble });
+    let page = serve(arguments, access, pages.clone(), Explainer::of_recording(file))?;
     if let Some(address) = arguments.foxglove {
         let port = foxglove_player::start(address, recorded.clone())?;
         screen.line(&format!("Foxglove and Lichtblick connect to ws://{}:{port}", address.ip()));
@@ -123,10 +120,10 @@ fn show_recording(
     while !is_stopping() && maker.read() {
         if shown_at.elapsed() > OVERVIEW_PERIOD {
             shown_at = Instant::now();
-            put(Kind::Overview, &Text::Overview(&maker.overview()));
+            pages.tell(&TextMessage::Overview(&maker.overview()));
         }
     }
-    put(Kind::Overview, &Text::Overview(&maker.overview()));
+    pages.tell(&TextMessage::Overview(&maker.overview()));
     while !is_stopping() {
         std::thread::sleep(IDLE_PERIOD);
     }
@@ -143,11 +140,11 @@ fn give_way() {
 fn serve(
     arguments: &ViewArguments,
     access: Access,
-    hub: Arc<Hub>,
+    pages: Arc<Pages>,
     explainer: Explainer,
 ) -> anyhow::Result<String> {
     let token = access.token.clone();
-    let bound = server::start(arguments.listen, access, hub, explainer).with_context(|| {
+    let bound = server::start(arguments.listen, access, pages, explainer).with_context(|| {
         format!("cannot serve {}. Cure: --listen with another port", arguments.listen)
     })?;
     Ok(address(bound, token.as_deref()))
@@ -181,7 +178,8 @@ fn access(arguments: &ViewArguments) -> anyhow::Result<Access> {
     Ok(Access { token: token.clone(), is_loopback })
 }
 
-/// The page's address. Behind `#` the browser keeps the token to itself: it is in no request for a file.
+/// The page's address. Behind `#` the browser keeps the token to itself: it is in no request for a
+/// file.
 fn address(bound: SocketAddr, token: Option<&str>) -> String {
     let host = match bound.ip() {
         IpAddr::V4(address) if address.is_unspecified() => "THIS-MACHINE".to_owned(),

@@ -1,16 +1,18 @@
-//! A recording instead of a running pipeline: the same scene, pictures and close-ups, from a file, at any time of it.
+//! A recording instead of a running pipeline: the same scene, pictures and close-ups, from a file,
+//! at any time of it.
 //!
-//! Nothing but one chunk of the file is in memory at once. Each page has its own player, so its own position.
+//! Nothing but one chunk of the file is in memory at once. Each page has its own player, so its own
+//! position.
 //!
 //! | module | what it does |
 //! | --- | --- |
-//! | [`messages`] | the contract's messages of a recording |
-//! | [`tape`] | reads on from a time, and gives each frame that ends |
-//! | [`playhead`] | core: which frame is shown, for seeks, steps and time that passes |
-//! | [`pictures`] | the picture that is nearest before a frame, and close-ups |
-//! | [`overview`] | an overview of the whole recording |
-//! | [`player`] | plays to one page |
-//! | [`foxglove_player`] | plays to Foxglove's clients |
+//! | `messages` | the contract's messages of a recording |
+//! | `tape` | reads on from a time, and gives each frame that ends |
+//! | `playhead` | core: which frame is shown, for seeks, steps and time that passes |
+//! | `pictures` | the picture that is nearest before a frame, and close-ups |
+//! | `overview` | an overview of the whole recording |
+//! | `player` | plays to one page |
+//! | `foxglove_player` | plays to Foxglove's clients |
 
 pub mod foxglove_player;
 pub mod messages;
@@ -32,29 +34,33 @@ use flockeye_recording::{About, Ending, IndexedRecording};
 use serde_json::Value;
 
 use crate::{setting, wire};
-use messages::Channels;
+use messages::ContractChannels;
 
 /// A recording that is shown. It is read by reference, from several threads at once.
 pub struct Recorded {
     recording: IndexedRecording,
     resolved: Resolved,
-    channels: Channels,
+    channels: ContractChannels,
     /// Numbers of the channels of pictures, and of what is missing.
     images: Option<u16>,
     losses: Option<u16>,
+    /// Times of the first and the last message, UTC nanoseconds.
     first_ns: u64,
     last_ns: u64,
     utc_from_monotonic_ns: i64,
+    /// UTC less the clock of exposures, nanoseconds.
     utc_from_exposure_ns: i64,
-    hello: wire::Hello,
-    trouble: String,
+    pub hello: wire::Hello,
+    /// What is wrong with the file as a whole, for people; empty where nothing is.
+    pub trouble: String,
 }
 
 impl Recorded {
     /// Opens the recording at `path`. `rate`: pictures a second at most while it is played.
     ///
     /// # Errors
-    /// It is no recording, is damaged at its very beginning, has nothing in it, or is of another contract.
+    /// It is no recording, is damaged at its very beginning, has nothing in it, or is of another
+    /// contract.
     pub fn open(path: &Path, rate: f64) -> anyhow::Result<Self> {
         let recording = IndexedRecording::open(path)?;
         let shown = path.display();
@@ -67,7 +73,7 @@ impl Recorded {
         };
         let about = recording.about();
         let resolved = configuration(about).with_context(|| shown.to_string())?;
-        let channels = Channels::of(&recording);
+        let channels = ContractChannels::of(&recording);
         ensure!(
             !channels.is_foreign(TopicId::Tracks),
             "{shown} was recorded with contract {}, whose tracks this Flockeye does not know. Cure: view it with \
@@ -84,7 +90,7 @@ impl Recorded {
             recording.chunks().iter().any(|chunk| chunk.channels.contains(&images))
         });
         let mut hello = setting::hello(&resolved, &said(about, "instance"), rate);
-        hello.recording = Some(wire::Recording {
+        hello.recording = Some(wire::RecordingSummary {
             file: path.file_name().unwrap_or_default().to_string_lossy().into_owned(),
             began_s: first_ns as f64 * 1e-9,
             duration_s: last_ns.saturating_sub(first_ns) as f64 * 1e-9,
@@ -106,31 +112,6 @@ impl Recorded {
             trouble,
             recording,
         })
-    }
-
-    /// What a page must know once.
-    pub fn hello(&self) -> &wire::Hello {
-        &self.hello
-    }
-
-    /// The recorded configuration, with the recorded bodies.
-    pub fn resolved(&self) -> &Resolved {
-        &self.resolved
-    }
-
-    /// What is wrong with the file as a whole, for people; empty where nothing is.
-    pub fn trouble(&self) -> &str {
-        &self.trouble
-    }
-
-    /// Times of the first and the last message, UTC nanoseconds.
-    pub fn span_ns(&self) -> (u64, u64) {
-        (self.first_ns, self.last_ns)
-    }
-
-    /// UTC less the clock of exposures, nanoseconds.
-    pub fn utc_from_exposure_ns(&self) -> i64 {
-        self.utc_from_exposure_ns
     }
 
     /// Seconds from the recording's beginning.
@@ -159,7 +140,7 @@ fn said(about: &About, name: &str) -> String {
 }
 
 /// What is wrong with a recording that can be shown all the same.
-fn trouble(recording: &IndexedRecording, channels: &Channels) -> String {
+fn trouble(recording: &IndexedRecording, channels: &ContractChannels) -> String {
     if let Some(damage) = recording.damage() {
         return format!("{damage}; what lies before is shown");
     }

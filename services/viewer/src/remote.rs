@@ -50,17 +50,6 @@ struct State {
     is_closed: bool,
 }
 
-/// What a player is to do next.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Next {
-    /// This, and how many wishes are done then.
-    Do(Move, u64),
-    /// Nothing new.
-    GoOn,
-    /// The page is gone.
-    End,
-}
-
 impl Remote {
     /// Adds a wish. Of several seeks that follow each other only the last counts.
     pub fn ask(&self, wish: Move) {
@@ -84,34 +73,29 @@ impl Remote {
         self.changed.notify_all();
     }
 
-    /// The page is gone.
     pub fn close(&self) {
         lock(&self.state).is_closed = true;
         self.changed.notify_all();
     }
 
-    /// Whether the connection is closed.
     pub fn is_closed(&self) -> bool {
         lock(&self.state).is_closed
     }
 
-    /// What to do, waiting for it at most so long.
-    pub fn next(&self, at_most: Duration) -> Next {
+    /// The next wish, and how many are done then; waits for it at most so long. None where the page
+    /// is gone.
+    pub fn next(&self, at_most: Duration) -> Option<(Move, u64)> {
         let mut state = lock(&self.state);
         if state.wishes.is_empty() && !state.is_closed && !at_most.is_zero() {
             let waited = self.changed.wait_timeout(state, at_most);
             state = waited.unwrap_or_else(PoisonError::into_inner).0;
         }
         if state.is_closed {
-            return Next::End;
+            return None;
         }
-        match state.wishes.pop_front() {
-            Some(wish) => {
-                state.answers += 1;
-                Next::Do(wish, state.answers)
-            }
-            None => Next::GoOn,
-        }
+        let wish = state.wishes.pop_front()?;
+        state.answers += 1;
+        Some((wish, state.answers))
     }
 }
 
@@ -122,27 +106,28 @@ mod tests {
     #[test]
     fn the_last_of_many_seeks_counts_and_all_are_answered() {
         let remote = Remote::default();
-        assert_eq!(remote.next(Duration::ZERO), Next::GoOn);
+        assert_eq!(remote.next(Duration::ZERO), None);
         for to_s in [1.0, -5.0, 1e300, 7.0] {
             remote.ask(Move::Seek(to_s));
         }
         remote.ask(Move::Play(1e9));
         remote.ask(Move::Seek(-3.0));
         remote.ask(Move::Step(i32::MIN));
-        assert_eq!(remote.next(Duration::ZERO), Next::Do(Move::Seek(7.0), 4));
-        assert_eq!(remote.next(Duration::ZERO), Next::Do(Move::Play(MAX_SPEED), 5));
-        assert_eq!(remote.next(Duration::ZERO), Next::Do(Move::Seek(0.0), 6));
-        assert_eq!(remote.next(Duration::ZERO), Next::Do(Move::Step(-MOST_STEPS), 7));
+        assert_eq!(remote.next(Duration::ZERO), Some((Move::Seek(7.0), 4)));
+        assert_eq!(remote.next(Duration::ZERO), Some((Move::Play(MAX_SPEED), 5)));
+        assert_eq!(remote.next(Duration::ZERO), Some((Move::Seek(0.0), 6)));
+        assert_eq!(remote.next(Duration::ZERO), Some((Move::Step(-MOST_STEPS), 7)));
         for _ in 0..10_000 {
             remote.ask(Move::Step(1));
         }
         let mut last = 0;
-        while let Next::Do(_, answers) = remote.next(Duration::ZERO) {
+        while let Some((_, answers)) = remote.next(Duration::ZERO) {
             last = answers;
         }
         assert_eq!(last, 10_007);
         remote.ask(Move::Step(1));
         remote.close();
-        assert_eq!(remote.next(Duration::from_secs(60)), Next::End);
+        assert_eq!(remote.next(Duration::from_secs(60)), None);
+        assert!(remote.is_closed());
     }
 }

@@ -1,15 +1,15 @@
 //! What a browser asks for, and who may.
 //!
-//! A page from elsewhere must not read this one's socket: its `Origin` would be another. Nor may it reach this
-//! machine under a name of its own (DNS rebinding): on loopback only names of loopback are answered, and
-//! elsewhere every socket needs the token.
+//! A page from elsewhere must not read this one's socket: its `Origin` would be another. Nor may it
+//! reach this machine under a name of its own (DNS rebinding): on loopback only names of loopback
+//! are answered, and elsewhere every socket needs the token.
 
 use std::net::IpAddr;
 
 use tungstenite::handshake::derive_accept_key;
 
-use crate::explaining::Question;
-use crate::files::{self, File};
+use crate::explaining::PoseQuestion;
+use crate::files::{self, PageFile};
 
 /// Longest head of a request, bytes.
 pub const MAX_HEAD: usize = 8 * 1024;
@@ -27,68 +27,51 @@ pub struct Access {
 
 /// What to answer.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub enum Answer {
+pub enum HttpAnswer {
     /// A file of the page. `with_body`: it is asked for with `GET`, not `HEAD`.
     File {
-        /// Which.
-        file: &'static File,
-        /// Whether its content is wanted.
+        file: &'static PageFile,
         with_body: bool,
     },
     /// The page's socket may be opened; the key that the browser waits for.
     Socket {
-        /// `Sec-WebSocket-Accept`.
         accept: String,
     },
-    /// The socket could be opened with this token: a page asks so, because a browser does not tell it why a
-    /// socket was refused.
+    /// The socket could be opened with this token: a page asks so, because a browser does not tell
+    /// it why a socket was refused.
     Granted,
     /// The page may ask this.
-    Explain(Question),
-    /// No.
-    Refused(Refusal),
+    Explain(PoseQuestion),
+    Refused(HttpRefusal),
 }
 
-/// Why a request is refused.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
-pub enum Refusal {
-    /// The request is no HTTP.
+pub enum HttpRefusal {
     #[error("this is no request of HTTP/1.1")]
     Malformed,
-    /// Its head is too long.
     #[error("the head of the request is longer than {MAX_HEAD} bytes")]
     TooLong,
-    /// The request did not come in time.
     #[error("the request did not come in time")]
     TooSlow,
-    /// There is no such file.
     #[error("there is nothing here. The page is at /")]
     NotFound,
-    /// Neither `GET` nor `HEAD`.
     #[error("only GET and HEAD are answered")]
     Method,
-    /// Its `Host` is no name of this machine.
     #[error("on loopback only localhost, 127.0.0.1 and [::1] are answered")]
     Host,
-    /// The request comes from a foreign page.
     #[error("only this page's own scripts may open its socket")]
     Origin,
-    /// The token is wrong or missing.
     #[error("the token is wrong or missing. Cure: open the address that `flockeye view` printed")]
     Token,
-    /// The socket is asked for without the handshake of WebSocket 13.
     #[error("this address is a WebSocket of version 13")]
     NoUpgrade,
-    /// The request for an explanation names no neighbour or no frame.
     #[error("ask as /explain?target=NAME&frame=SOURCE.EPOCH.NUMBER")]
     Question,
-    /// Too many pages are open.
     #[error("too many pages are open. Cure: close one")]
     Full,
 }
 
-impl Refusal {
-    /// Its HTTP status.
+impl HttpRefusal {
     pub fn status(self) -> (u16, &'static str) {
         match self {
             Self::Malformed | Self::Question => (400, "Bad Request"),
@@ -104,39 +87,42 @@ impl Refusal {
     }
 }
 
-/// What to answer to the bytes that have come so far, and how many of them the request is. `None`: more must
-/// come.
-pub fn answer(bytes: &[u8], access: &Access) -> Option<(Answer, usize)> {
+/// What to answer to the bytes that have come so far, and how many of them the request is. `None`:
+/// more must come.
+pub fn answer(bytes: &[u8], access: &Access) -> Option<(HttpAnswer, usize)> {
     let mut headers = [httparse::EMPTY_HEADER; MAX_HEADERS];
     let mut request = httparse::Request::new(&mut headers);
-    let refused = |refusal| Some((Answer::Refused(refusal), bytes.len()));
+    let refused = |refusal| Some((HttpAnswer::Refused(refusal), bytes.len()));
     match request.parse(bytes) {
         Ok(httparse::Status::Complete(length)) if length <= MAX_HEAD => {
             let outcome = outcome(&request, access);
-            Some((outcome.unwrap_or_else(Answer::Refused), length))
+            Some((outcome.unwrap_or_else(HttpAnswer::Refused), length))
         }
         Ok(httparse::Status::Partial) if bytes.len() < MAX_HEAD => None,
-        Ok(_) | Err(httparse::Error::TooManyHeaders) => refused(Refusal::TooLong),
-        Err(_) => refused(Refusal::Malformed),
+        Ok(_) | Err(httparse::Error::TooManyHeaders) => refused(HttpRefusal::TooLong),
+        Err(_) => refused(HttpRefusal::Malformed),
     }
 }
 
-fn outcome(request: &httparse::Request<'_, '_>, access: &Access) -> Result<Answer, Refusal> {
+fn outcome(
+    request: &httparse::Request<'_, '_>,
+    access: &Access,
+) -> Result<HttpAnswer, HttpRefusal> {
     let (Some(method), Some(target)) = (request.method, request.path) else {
-        return Err(Refusal::Malformed);
+        return Err(HttpRefusal::Malformed);
     };
     if !matches!(method, "GET" | "HEAD") {
-        return Err(Refusal::Method);
+        return Err(HttpRefusal::Method);
     }
-    let host = only(request, "host").ok_or(Refusal::Malformed)?;
+    let host = only(request, "host").ok_or(HttpRefusal::Malformed)?;
     if access.is_loopback && !is_loopback_name(host) {
-        return Err(Refusal::Host);
+        return Err(HttpRefusal::Host);
     }
     let (path, query) = target.split_once('?').unwrap_or((target, ""));
     match path {
         "/live" => {
             check_socket(request, host, query, access)?;
-            let key = only(request, "sec-websocket-key").ok_or(Refusal::NoUpgrade)?;
+            let key = only(request, "sec-websocket-key").ok_or(HttpRefusal::NoUpgrade)?;
             let is_websocket = has_word(request, "upgrade", "websocket")
                 && has_word(request, "connection", "upgrade")
                 && only(request, "sec-websocket-version") == Some("13")
@@ -144,20 +130,20 @@ fn outcome(request: &httparse::Request<'_, '_>, access: &Access) -> Result<Answe
                 && key.len() == 24
                 && method == "GET";
             if !is_websocket {
-                return Err(Refusal::NoUpgrade);
+                return Err(HttpRefusal::NoUpgrade);
             }
-            Ok(Answer::Socket { accept: derive_accept_key(key.as_bytes()) })
+            Ok(HttpAnswer::Socket { accept: derive_accept_key(key.as_bytes()) })
         }
-        "/access" => check_socket(request, host, query, access).map(|()| Answer::Granted),
+        "/access" => check_socket(request, host, query, access).map(|()| HttpAnswer::Granted),
         "/explain" => {
             check_socket(request, host, query, access)?;
-            let question = Question::of_query(query).ok_or(Refusal::Question)?;
+            let question = PoseQuestion::of_query(query).ok_or(HttpRefusal::Question)?;
             // An explanation takes time and a processor, so only GET asks for it.
-            (method == "GET").then_some(Answer::Explain(question)).ok_or(Refusal::Method)
+            (method == "GET").then_some(HttpAnswer::Explain(question)).ok_or(HttpRefusal::Method)
         }
         _ => {
-            let file = files::find(path).ok_or(Refusal::NotFound)?;
-            Ok(Answer::File { file, with_body: method == "GET" })
+            let file = files::find(path).ok_or(HttpRefusal::NotFound)?;
+            Ok(HttpAnswer::File { file, with_body: method == "GET" })
         }
     }
 }
@@ -167,17 +153,17 @@ fn check_socket(
     host: &str,
     query: &str,
     access: &Access,
-) -> Result<(), Refusal> {
+) -> Result<(), HttpRefusal> {
     // Programs send none; browsers always do where it matters.
     if let Some(origin) = header(request, "origin").next() {
         let authority = origin.split_once("://").map(|(_, authority)| authority);
         if authority != Some(host) {
-            return Err(Refusal::Origin);
+            return Err(HttpRefusal::Origin);
         }
     }
     let given = query.split('&').find_map(|pair| pair.strip_prefix("token=")).unwrap_or("");
     match &access.token {
-        Some(token) if !is_same(token, given) => Err(Refusal::Token),
+        Some(token) if !is_same(token, given) => Err(HttpRefusal::Token),
         _ => Ok(()),
     }
 }
@@ -238,7 +224,7 @@ mod tests {
         Access { token: Some("open-sesame".into()), is_loopback: false }
     }
 
-    fn ask(lines: &[&str], access: &Access) -> Answer {
+    fn ask(lines: &[&str], access: &Access) -> HttpAnswer {
         let text = format!("{}\r\n\r\n", lines.join("\r\n"));
         answer(text.as_bytes(), access).unwrap().0
     }
@@ -250,7 +236,7 @@ mod tests {
         "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==",
     ];
 
-    fn open(target: &str, host: &str, more: &[&str], access: &Access) -> Answer {
+    fn open(target: &str, host: &str, more: &[&str], access: &Access) -> HttpAnswer {
         let (first, host) = (format!("GET {target} HTTP/1.1"), format!("Host: {host}"));
         ask(&[&[first.as_str(), host.as_str()][..], &SOCKET, more].concat(), access)
     }
@@ -259,15 +245,15 @@ mod tests {
     fn files_are_found_and_nothing_else() {
         let page =
             |path: &str| ask(&[&format!("GET {path} HTTP/1.1"), "Host: localhost:1"], &local());
-        assert!(matches!(page("/"), Answer::File { with_body: true, .. }));
-        assert!(matches!(page("/?token=x"), Answer::File { .. }));
+        assert!(matches!(page("/"), HttpAnswer::File { with_body: true, .. }));
+        assert!(matches!(page("/?token=x"), HttpAnswer::File { .. }));
         for path in ["/../Cargo.toml", "/%2e%2e/x", "/page/index.html", "//", "/nothing", "*"] {
-            assert_eq!(page(path), Answer::Refused(Refusal::NotFound), "{path}");
+            assert_eq!(page(path), HttpAnswer::Refused(HttpRefusal::NotFound), "{path}");
         }
         let head = ask(&["HEAD / HTTP/1.1", "Host: localhost"], &local());
-        assert!(matches!(head, Answer::File { with_body: false, .. }));
+        assert!(matches!(head, HttpAnswer::File { with_body: false, .. }));
         let post = ask(&["POST / HTTP/1.1", "Host: localhost"], &local());
-        assert_eq!(post, Answer::Refused(Refusal::Method));
+        assert_eq!(post, HttpAnswer::Refused(HttpRefusal::Method));
     }
 
     #[test]
@@ -276,37 +262,41 @@ mod tests {
         for garbage in
             [&b"\x16\x03\x01\x02\x00"[..], b"GET\r\n\r\n", b"GET / HTTP/1.1\r\n\xff: x\r\n\r\n"]
         {
-            assert_eq!(refused(garbage), Some(Answer::Refused(Refusal::Malformed)), "{garbage:?}");
+            assert_eq!(
+                refused(garbage),
+                Some(HttpAnswer::Refused(HttpRefusal::Malformed)),
+                "{garbage:?}"
+            );
         }
         assert_eq!(refused(b"GET / HTTP/1.1\r\nHost: loc"), None, "more may come");
         let endless = [&b"GET / HTTP/1.1\r\nX: "[..], &vec![b'x'; MAX_HEAD]].concat();
-        assert_eq!(refused(&endless), Some(Answer::Refused(Refusal::TooLong)));
+        assert_eq!(refused(&endless), Some(HttpAnswer::Refused(HttpRefusal::TooLong)));
         let many = format!("GET / HTTP/1.1\r\n{}\r\n", "A: b\r\n".repeat(MAX_HEADERS + 1));
-        assert_eq!(refused(many.as_bytes()), Some(Answer::Refused(Refusal::TooLong)));
+        assert_eq!(refused(many.as_bytes()), Some(HttpAnswer::Refused(HttpRefusal::TooLong)));
         let hostless = ask(&["GET / HTTP/1.1"], &local());
-        assert_eq!(hostless, Answer::Refused(Refusal::Malformed));
+        assert_eq!(hostless, HttpAnswer::Refused(HttpRefusal::Malformed));
         let two = ask(&["GET / HTTP/1.1", "Host: localhost", "Host: evil"], &local());
-        assert_eq!(two, Answer::Refused(Refusal::Malformed));
+        assert_eq!(two, HttpAnswer::Refused(HttpRefusal::Malformed));
     }
 
     #[test]
     fn a_socket_opens_for_this_page_alone() {
         let accept = "s3pPLMBiTxaQ9kYGzzhZRbK+xOo=".to_owned();
-        let granted = Answer::Socket { accept };
+        let granted = HttpAnswer::Socket { accept };
         for host in ["localhost:8760", "127.0.0.1:8760", "[::1]:8760"] {
             let own = format!("Origin: http://{host}");
             assert_eq!(open("/live", host, &[&own], &local()), granted, "{host}");
             assert_eq!(open("/live", host, &[], &local()), granted, "a program at {host}");
         }
         let foreign = open("/live", "localhost:8760", &["Origin: http://evil.example"], &local());
-        assert_eq!(foreign, Answer::Refused(Refusal::Origin));
+        assert_eq!(foreign, HttpAnswer::Refused(HttpRefusal::Origin));
         for rebound in ["evil.example:8760", "127.0.0.1.evil.example", "", "[evil"] {
             let own = format!("Origin: http://{rebound}");
             let answer = open("/live", rebound, &[&own], &local());
-            assert_eq!(answer, Answer::Refused(Refusal::Host), "{rebound}");
+            assert_eq!(answer, HttpAnswer::Refused(HttpRefusal::Host), "{rebound}");
         }
         let plain = ask(&["GET /live HTTP/1.1", "Host: localhost"], &local());
-        assert_eq!(plain, Answer::Refused(Refusal::NoUpgrade));
+        assert_eq!(plain, HttpAnswer::Refused(HttpRefusal::NoUpgrade));
     }
 
     #[test]
@@ -316,27 +306,27 @@ mod tests {
             let (first, host) = (format!("GET {target} HTTP/1.1"), "Host: localhost:1");
             ask(&[&[first.as_str(), host][..], more].concat(), &local())
         };
-        assert!(matches!(page(asked, &[]), Answer::Explain(_)));
-        assert!(matches!(page(asked, &["Origin: http://localhost:1"]), Answer::Explain(_)));
+        assert!(matches!(page(asked, &[]), HttpAnswer::Explain(_)));
+        assert!(matches!(page(asked, &["Origin: http://localhost:1"]), HttpAnswer::Explain(_)));
         let foreign = page(asked, &["Origin: http://evil.example"]);
-        assert_eq!(foreign, Answer::Refused(Refusal::Origin));
+        assert_eq!(foreign, HttpAnswer::Refused(HttpRefusal::Origin));
         let vague = page("/explain?target=alpha", &[]);
-        assert_eq!(vague, Answer::Refused(Refusal::Question));
+        assert_eq!(vague, HttpAnswer::Refused(HttpRefusal::Question));
         let head = ask(&[&format!("HEAD {asked} HTTP/1.1"), "Host: localhost:1"], &local());
-        assert_eq!(head, Answer::Refused(Refusal::Method));
+        assert_eq!(head, HttpAnswer::Refused(HttpRefusal::Method));
         let line = format!("GET {asked} HTTP/1.1");
         let elsewhere = ask(&[&line, "Host: 10.0.0.7:8760"], &guarded());
-        assert_eq!(elsewhere, Answer::Refused(Refusal::Token));
+        assert_eq!(elsewhere, HttpAnswer::Refused(HttpRefusal::Token));
     }
 
     #[test]
     fn elsewhere_a_socket_needs_the_token() {
         let ask = |query: &str| open(&format!("/live{query}"), "10.0.0.7:8760", &[], &guarded());
-        assert!(matches!(ask("?token=open-sesame"), Answer::Socket { .. }));
+        assert!(matches!(ask("?token=open-sesame"), HttpAnswer::Socket { .. }));
         for query in
             ["", "?token=", "?token=open-sesamf", "?token=open-sesame1", "?TOKEN=open-sesame"]
         {
-            assert_eq!(ask(query), Answer::Refused(Refusal::Token), "{query}");
+            assert_eq!(ask(query), HttpAnswer::Refused(HttpRefusal::Token), "{query}");
         }
     }
 

@@ -1,16 +1,17 @@
 //! The scene: messages of the contract in, messages to the page out.
 //!
-//! What belongs to a frame is kept until fusion says that the frame has ended. Then all of it goes to the
-//! page at once.
+//! What belongs to a frame is kept until fusion says that the frame has ended. Then all of it goes
+//! to the page at once.
 
 use std::collections::{BTreeMap, VecDeque};
 
 use flockeye_contract::{
-    BodyTruth, DetectedMarker, DetectionHeader, FrameEnd, FrameOrder, FrameStamp, MeasuredBy,
-    PeerHeader, PeerSighting, PlanHeader, PlannedView, Rotation, RotationSource, StageLatency,
+    BodyTruth, DetectedMarker, DetectionHeader, FrameEnd, FrameOrder, FrameStamp, Health,
+    MeasuredBy, PeerSighting, PlanHeader, PlannedView, Rotation, RotationSource, StageLatency,
     SwarmHeader, SwarmPose, SwarmWay, Track, TrackHeader, TrackState, TruthHeader, ViewKind,
 };
 use flockeye_convert::at_exposure;
+use flockeye_runtime::health_rates::HealthRates;
 use nalgebra::Vector3;
 
 use crate::setting::{pose, tile};
@@ -26,22 +27,28 @@ const MOST_MARKERS: usize = 128;
 const FORGOTTEN_NS: i64 = 5_000_000_000;
 /// Sightings that are kept at most.
 const MOST_SIGHTINGS: usize = 256;
+/// A process that has reported nothing for this long is gone, nanoseconds.
+const GONE_NS: i64 = 10_000_000_000;
+/// Processes that are kept at most: any process of the user may report anything.
+const MOST_PROCESSES: usize = 64;
 
 /// What the stages say of the frames.
 #[derive(Debug)]
-pub struct Scene {
+pub struct PageScene {
     is_real_time: bool,
-    open: BTreeMap<FrameOrder, OpenFrame>,
+    open: BTreeMap<FrameOrder, PartialFrame>,
     plans: VecDeque<(u64, u32, Vec<PlannedView>)>,
     last_ended: Option<FrameStamp>,
     skipped: u64,
     drones: Option<(SwarmHeader, Vec<SwarmPose>)>,
     sightings: BTreeMap<(String, String), PeerSighting>,
+    /// The newest report of each process, as rates.
+    processes: BTreeMap<(String, u32), HealthRates>,
 }
 
 /// A frame that has not ended.
 #[derive(Debug, Default)]
-struct OpenFrame {
+struct PartialFrame {
     searched: Vec<(u64, u32)>,
     markers: Vec<DetectedMarker>,
     end: Option<FrameEnd>,
@@ -50,18 +57,17 @@ struct OpenFrame {
     truth: Vec<BodyTruth>,
 }
 
-/// A frame that has ended.
 #[derive(Debug, Clone)]
-pub struct Ended {
-    /// Which one.
+pub struct EndedFrame {
     pub stamp: FrameStamp,
     /// Its neighbours, as the contract has them.
     pub tracks: Vec<Track>,
-    /// For the page.
-    pub message: wire::Frame,
+    /// In a recording: when it ended, UTC nanoseconds; 0 of a running pipeline.
+    pub utc_ns: u64,
+    pub message: wire::FrameMessage,
 }
 
-impl Scene {
+impl PageScene {
     /// Nothing seen yet. `is_real_time`: whether exposures are on this machine's clock.
     pub fn new(is_real_time: bool) -> Self {
         Self {
@@ -72,10 +78,17 @@ impl Scene {
             skipped: 0,
             drones: None,
             sightings: BTreeMap::new(),
+            processes: BTreeMap::new(),
         }
     }
 
-    /// Takes a plan.
+    pub fn health(&mut self, health: &Health) {
+        let process = (health.stage.to_string(), health.replica);
+        if self.processes.len() < MOST_PROCESSES || self.processes.contains_key(&process) {
+            self.processes.entry(process).or_insert_with(|| HealthRates::new(health)).take(health);
+        }
+    }
+
     pub fn plan(&mut self, header: &PlanHeader, views: &[PlannedView]) {
         if self.plans.len() == PLANS {
             self.plans.pop_front();
@@ -83,7 +96,6 @@ impl Scene {
         self.plans.push_back((header.plan_id, header.generation, views.to_vec()));
     }
 
-    /// Takes a detection record.
     pub fn detection(&mut self, header: &DetectionHeader, markers: &[DetectedMarker]) {
         let frame = self.frame(&header.stamp);
         if frame.searched.len() < flockeye_contract::MAX_PLANNED_VIEWS {
@@ -98,7 +110,6 @@ impl Scene {
         self.frame(&end.stamp).end = Some(*end);
     }
 
-    /// Takes the camera's rotation.
     pub fn rotation(&mut self, rotation: &Rotation) {
         self.frame(&rotation.stamp).turn = Some(*rotation);
     }
@@ -108,8 +119,7 @@ impl Scene {
         self.frame(&header.stamp).truth = bodies.to_vec();
     }
 
-    /// Takes what a peer reports.
-    pub fn sightings(&mut self, _header: &PeerHeader, sightings: &[PeerSighting]) {
+    pub fn sightings(&mut self, sightings: &[PeerSighting]) {
         for sighting in sightings {
             let pair = (sighting.observer.to_string(), sighting.target.to_string());
             if self.sightings.len() < MOST_SIGHTINGS || self.sightings.contains_key(&pair) {
@@ -124,7 +134,12 @@ impl Scene {
     }
 
     /// Takes tracks; returns the frame if they end it.
-    pub fn tracks(&mut self, header: &TrackHeader, tracks: &[Track], now_ns: i64) -> Option<Ended> {
+    pub fn tracks(
+        &mut self,
+        header: &TrackHeader,
+        tracks: &[Track],
+        now_ns: i64,
+    ) -> Option<EndedFrame> {
         let frame = self.frame(&header.stamp);
         frame.tracks.extend(tracks.iter().map(|track| (track.target, *track)));
         if header.is_last == 0 {
@@ -137,8 +152,11 @@ impl Scene {
         Some(self.ended(header.stamp, frame, now_ns))
     }
 
-    /// What is known of the swarm, if anything is.
-    pub fn swarm(&mut self, now_ns: i64) -> Option<wire::Swarm> {
+    /// Where the swarm's drones are and who sees whom, if anything is known of them.
+    pub fn swarm(
+        &mut self,
+        now_ns: i64,
+    ) -> Option<(Vec<wire::DroneSummary>, Vec<wire::SightingSummary>)> {
         let age_s = |then_ns: i64| (now_ns.saturating_sub(then_ns) as f64 * 1e-9) as f32;
         self.sightings
             .retain(|_, sighting| now_ns.saturating_sub(sighting.exposure_ns) < FORGOTTEN_NS);
@@ -152,25 +170,50 @@ impl Scene {
         if self.sightings.is_empty() && self.drones.is_none() {
             return None;
         }
-        let drones = self.drones.iter().flat_map(|(_, poses)| poses).map(|drone| wire::Drone {
-            name: drone.name.to_string(),
-            pose: pose(&drone.own_from_drone),
-            covariance: position_covariance(&drone.covariance),
-            way: SwarmWay::try_from(drone.way).map_or("unknown", SwarmWay::name),
-            through: drone.through.to_string(),
-            age_s: age_s(drone.seen_ns),
-        });
-        let sightings = self.sightings.values().map(|sighting| wire::Sighting {
+        let drones =
+            self.drones.iter().flat_map(|(_, poses)| poses).map(|drone| wire::DroneSummary {
+                name: drone.name.to_string(),
+                pose: pose(&drone.own_from_drone),
+                covariance: position_covariance(&drone.covariance),
+                way: SwarmWay::try_from(drone.way).map_or("unknown", SwarmWay::name),
+                through: drone.through.to_string(),
+                age_s: age_s(drone.seen_ns),
+            });
+        let sightings = self.sightings.values().map(|sighting| wire::SightingSummary {
             observer: sighting.observer.to_string(),
             target: sighting.target.to_string(),
             state: state(sighting.state),
             range_m: Vector3::from(sighting.observer_from_target.position).norm() as f32,
             age_s: age_s(sighting.exposure_ns),
         });
-        Some(wire::Swarm { drones: drones.collect(), sightings: sightings.collect() })
+        Some((drones.collect(), sightings.collect()))
     }
 
-    fn frame(&mut self, stamp: &FrameStamp) -> &mut OpenFrame {
+    /// What the stages report.
+    pub fn stages(&mut self, now_ns: i64) -> Vec<wire::ProcessReport> {
+        self.processes.retain(|_, rates| rates.silent_ns(now_ns) < GONE_NS);
+        let stages = self.processes.iter().map(|((stage, replica), rates)| {
+            let last = &rates.last;
+            wire::ProcessReport {
+                stage: stage.clone(),
+                replica: *replica,
+                generation: last.generation,
+                state: rates.state(now_ns),
+                detail: last.detail.to_string(),
+                taken_per_s: rates.taken_per_s as f32,
+                published_per_s: rates.published_per_s as f32,
+                dropped: last.dropped,
+                failed: last.failed,
+                queued: last.queued,
+                processor: rates.processor_share as f32,
+                resident_mb: last.resident_bytes as f32 * 1e-6,
+                latency_ms: rates.latency_ms.map(|latency| latency.map(|ms| ms as f32)),
+            }
+        });
+        stages.collect()
+    }
+
+    fn frame(&mut self, stamp: &FrameStamp) -> &mut PartialFrame {
         while self.open.len() >= OPEN_FRAMES && !self.open.contains_key(&stamp.order()) {
             self.open.pop_first();
         }
@@ -183,9 +226,9 @@ impl Scene {
         }
     }
 
-    fn ended(&self, stamp: FrameStamp, frame: OpenFrame, now_ns: i64) -> Ended {
-        let OpenFrame { searched, markers, end, tracks, turn, truth } = frame;
-        let mut shown = wire::Frame {
+    fn ended(&self, stamp: FrameStamp, frame: PartialFrame, now_ns: i64) -> EndedFrame {
+        let PartialFrame { searched, markers, end, tracks, turn, truth } = frame;
+        let mut shown = wire::FrameMessage {
             key: wire::key(&stamp),
             sequence: stamp.sequence,
             exposure_s: stamp.exposure_s(),
@@ -205,13 +248,13 @@ impl Scene {
         };
         self.add_views(&mut shown, &searched, end.as_ref(), &stamp);
         let tracks = tracks.into_values().collect();
-        Ended { stamp, tracks, message: shown }
+        EndedFrame { stamp, tracks, utc_ns: 0, message: shown }
     }
 
     /// Adds the views of a frame: those that were searched, and the regions that were cut.
     fn add_views(
         &self,
-        shown: &mut wire::Frame,
+        shown: &mut wire::FrameMessage,
         searched: &[(u64, u32)],
         end: Option<&FrameEnd>,
         stamp: &FrameStamp,
@@ -241,8 +284,8 @@ impl Scene {
 }
 
 /// A region of interest, as it was cut of a frame.
-fn region(view: &PlannedView, stamp: &FrameStamp) -> wire::Region {
-    wire::Region { target: view.target, view: tile(&at_exposure(view, stamp.exposure_ns)) }
+fn region(view: &PlannedView, stamp: &FrameStamp) -> wire::RegionView {
+    wire::RegionView { target: view.target, view: tile(&at_exposure(view, stamp.exposure_ns)) }
 }
 
 fn detected(marker: &DetectedMarker) -> wire::Detected {
@@ -253,9 +296,9 @@ fn detected(marker: &DetectedMarker) -> wire::Detected {
     }
 }
 
-fn track(track: &Track) -> wire::Track {
+fn track(track: &Track) -> wire::TrackSummary {
     let turns = track.covariance[21] + track.covariance[28] + track.covariance[35];
-    wire::Track {
+    wire::TrackSummary {
         target: track.target,
         name: track.name.to_string(),
         track: track.track_id,
@@ -272,7 +315,8 @@ fn track(track: &Track) -> wire::Track {
     }
 }
 
-/// Milliseconds of capture, rectification, detection, fusion, and all together, as far as they are known.
+/// Milliseconds of capture, rectification, detection, fusion, and all together, as far as they are
+/// known.
 pub fn latency_ms(latency: &StageLatency) -> [Option<f32>; 5] {
     let parts = [
         latency.capture_ns,

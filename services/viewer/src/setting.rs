@@ -31,28 +31,27 @@ pub fn hello(resolved: &Resolved, instance: &str, rate: f64) -> wire::Hello {
     }
 }
 
-/// A pose of the contract.
-pub fn pose(pose: &contract::Pose) -> wire::Pose {
-    wire::Pose { p: pose.position.map(|x| x as f32), q: pose.orientation.map(|x| x as f32) }
+pub fn pose(pose: &contract::Pose) -> wire::PagePose {
+    wire::PagePose { p: pose.position.map(|x| x as f32), q: pose.orientation.map(|x| x as f32) }
 }
 
-fn transform(isometry: &Isometry3<f64>) -> wire::Pose {
+fn transform(isometry: &Isometry3<f64>) -> wire::PagePose {
     pose(&flockeye_convert::pose(isometry))
 }
 
 /// A view as the page has it.
-pub fn tile(view: &View) -> wire::Square {
+pub fn tile(view: &View) -> wire::ViewSquare {
     let half = f64::from(view.size_px) / (2.0 * view.focal_px);
-    wire::Square { q: xyzw(&view.camera_from_view).map(|x| x as f32), half: half as f32 }
+    wire::ViewSquare { q: xyzw(&view.camera_from_view).map(|x| x as f32), half: half as f32 }
 }
 
-fn body(body: &Body) -> wire::Body {
+fn body(body: &Body) -> wire::PageBody {
     let facets = body.facets().iter().map(|facet| facet.outline.iter().map(point).collect());
-    let markers = body.markers.iter().map(|marker| wire::Marker {
+    let markers = body.markers.iter().map(|marker| wire::PageMarker {
         id: marker.id,
         corners: marker.corners.each_ref().map(point),
     });
-    wire::Body {
+    wire::PageBody {
         name: body.name.clone(),
         target_from_markers: transform(&body.target_from_markers),
         facets: facets.collect(),

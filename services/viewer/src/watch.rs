@@ -1,5 +1,5 @@
-//! The ports: reads the pipeline beside its stages, while a page is open, and hands pages and Foxglove's
-//! clients what the core makes of it.
+//! The ports: reads the pipeline beside its stages, while a page is open, and hands pages and
+//! Foxglove's clients what the core makes of it.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -13,15 +13,12 @@ use flockeye_runtime::instance::Instance;
 use flockeye_runtime::logs::Throttle;
 use flockeye_runtime::ports::{Message, PortError, Ports, Subscriber};
 use flockeye_runtime::{clock, onlooker};
-use tungstenite::Message as PageMessage;
 
 use crate::audience::Audience;
 use crate::frame_reader::FrameReader;
-use crate::outbox::Kind;
-use crate::scene::{Ended, Scene};
+use crate::scene::{EndedFrame, PageScene};
 use crate::setting;
-use crate::stages::StageReports;
-use crate::wire::{self, Status, Text};
+use crate::wire::{self, TextMessage};
 
 /// How often stages and swarm are shown, nanoseconds.
 const REPORT_PERIOD_NS: i64 = 500_000_000;
@@ -35,17 +32,19 @@ const LOOK_PERIOD: Duration = Duration::from_millis(50);
 const IDLE_PERIOD: Duration = Duration::from_millis(200);
 
 /// Shows one pipeline to the pages, and to Foxglove's clients.
-pub struct Watch {
+pub struct PipelineWatch {
     instance: Instance,
     audience: Audience,
     rate: f64,
     stopping: Arc<AtomicBool>,
-    status: Option<Status>,
+    /// What is wrong, as the pages were told last: whether the pipeline runs, and why there are no
+    /// pictures.
+    status: Option<(bool, String)>,
     hello: Option<wire::Hello>,
     troubles: Throttle,
 }
 
-impl Watch {
+impl PipelineWatch {
     /// `rate`: pictures a second at most.
     pub fn new(
         instance: Instance,
@@ -57,16 +56,17 @@ impl Watch {
         Self { instance, audience, rate, stopping, status: None, hello: None, troubles }
     }
 
-    /// Shows it until it is told to stop. While no page is open, or the pipeline does not run, it waits.
+    /// Shows it until it is told to stop. While no page is open, or the pipeline does not run, it
+    /// waits.
     pub fn run(&mut self) {
         while !self.is_stopping() {
             if !self.audience.wanted().anything {
-                self.audience.hub.wait(IDLE_PERIOD);
+                self.audience.pages.wait(IDLE_PERIOD);
                 continue;
             }
             if !self.instance.is_running() {
-                self.say(Status { running: false, trouble: String::new() });
-                self.audience.hub.wait(IDLE_PERIOD);
+                self.say(false, String::new());
+                self.audience.pages.wait(IDLE_PERIOD);
                 continue;
             }
             if let Err(error) = self.follow() {
@@ -74,7 +74,7 @@ impl Watch {
                 if let Some(more) = self.troubles.admit() {
                     tracing::warn!(more_since = more, "the pipeline cannot be followed: {error:#}");
                 }
-                self.say(Status { running: true, trouble: format!("{error:#}") });
+                self.say(true, format!("{error:#}"));
                 std::thread::sleep(IDLE_PERIOD);
             }
         }
@@ -85,32 +85,29 @@ impl Watch {
     }
 
     /// Tells the pages what is wrong, where that has changed.
-    fn say(&mut self, status: Status) {
-        if self.status.as_ref() != Some(&status) {
-            self.put(Kind::Status, &Text::Status(&status));
-            self.status = Some(status);
+    fn say(&mut self, running: bool, trouble: String) {
+        let status = Some((running, trouble));
+        if self.status != status {
+            self.status = status;
+            let trouble = self.status.as_ref().map_or("", |(_, trouble)| trouble);
+            self.audience.pages.tell(&TextMessage::Status { running, trouble });
         }
-    }
-
-    fn put(&self, kind: Kind, message: &Text<'_>) {
-        self.audience.hub.put(kind, &PageMessage::text(wire::text(message)));
     }
 
     /// Follows the pipeline until nobody watches or the pipeline ends.
     fn follow(&mut self) -> anyhow::Result<()> {
         let (mut ports, resolved) = onlooker::join(&self.instance)?;
         ports.follow_hand_overs()?;
-        let mut topics = Topics::open(&mut ports)?;
+        let mut topics = Subscribers::open(&mut ports)?;
         let hello = setting::hello(&resolved, self.instance.name(), self.rate);
         if self.hello.as_ref() != Some(&hello) {
-            self.put(Kind::Hello, &Text::Hello(&hello));
+            self.audience.pages.tell(&TextMessage::Hello(&hello));
             if let Some(foxglove) = &mut self.audience.foxglove {
                 foxglove.begin(&resolved)?;
             }
             self.hello = Some(hello);
         }
-        let mut scene = Scene::new(resolved.pipeline.flow() == Flow::Latest);
-        let mut stages = StageReports::default();
+        let mut scene = PageScene::new(resolved.pipeline.flow() == Flow::Latest);
         let (mut report_ns, mut life_ns) = (0, 0);
         let mut frames = FrameReader::new(&ports, &resolved, self.rate);
         ports.attend(|| {
@@ -121,20 +118,21 @@ impl Watch {
             }
             std::thread::sleep(GATHERING);
             let trouble = frames.receive(wanted, self.audience.takes_pictures(wanted), now_ns)?;
-            self.say(Status { running: true, trouble });
-            for ended in topics.receive(&mut scene, &mut stages, now_ns)? {
-                self.put(Kind::Frame, &Text::Frame(&ended.message));
+            self.say(true, trouble);
+            for ended in topics.receive(&mut scene, now_ns)? {
+                self.audience.pages.tell(&TextMessage::Frame(&ended.message));
                 self.audience.to_foxglove(|foxglove| foxglove.frame(&ended));
                 frames.ended(&ended, &self.audience, wanted);
             }
             frames.overdue(&self.audience, wanted, now_ns);
             if now_ns - report_ns > REPORT_PERIOD_NS {
                 report_ns = now_ns;
-                let shown = stages.shown(now_ns);
+                let shown = scene.stages(now_ns);
                 self.audience.to_foxglove(|foxglove| foxglove.stages(&shown));
-                self.put(Kind::Stages, &Text::Stages(&shown));
-                if let Some(swarm) = scene.swarm(now_ns) {
-                    self.put(Kind::Swarm, &Text::Swarm(&swarm));
+                self.audience.pages.tell(&TextMessage::Stages { stages: &shown });
+                if let Some((drones, sightings)) = scene.swarm(now_ns) {
+                    let (drones, sightings) = (&drones[..], &sightings[..]);
+                    self.audience.pages.tell(&TextMessage::Swarm { drones, sightings });
                 }
             }
             if now_ns - life_ns > LIFE_PERIOD_NS {
@@ -148,8 +146,7 @@ impl Watch {
     }
 }
 
-/// Subscribers of everything but frames.
-struct Topics {
+struct Subscribers {
     plans: Subscriber<Plans>,
     detections: Subscriber<Detections>,
     ends: Subscriber<FrameEnds>,
@@ -161,7 +158,7 @@ struct Topics {
     swarms: Subscriber<Swarms>,
 }
 
-impl Topics {
+impl Subscribers {
     fn open(ports: &mut Ports) -> Result<Self, PortError> {
         Ok(Self {
             plans: ports.subscriber()?,
@@ -179,10 +176,9 @@ impl Topics {
     /// Hands on what has come. Tracks are the last: what belongs to their frame comes before them.
     fn receive(
         &mut self,
-        scene: &mut Scene,
-        stages: &mut StageReports,
+        scene: &mut PageScene,
         now_ns: i64,
-    ) -> Result<Vec<Ended>, PortError> {
+    ) -> Result<Vec<EndedFrame>, PortError> {
         let mut tracks = Vec::new();
         // Taken first: what they end has come by now.
         each(&mut self.tracks, |message| tracks.push((message.header, message.items().to_vec())))?;
@@ -191,8 +187,8 @@ impl Topics {
         each(&mut self.ends, |message| scene.frame_end(&message.header))?;
         each(&mut self.rotations, |message| scene.rotation(&message.header))?;
         each(&mut self.truths, |message| scene.truth(&message.header, message.items()))?;
-        each(&mut self.healths, |message| stages.health(&message.header))?;
-        each(&mut self.peers, |message| scene.sightings(&message.header, message.items()))?;
+        each(&mut self.healths, |message| scene.health(&message.header))?;
+        each(&mut self.peers, |message| scene.sightings(message.items()))?;
         each(&mut self.swarms, |message| scene.drones(&message.header, message.items()))?;
         let ended = tracks.iter().filter_map(|(header, items)| scene.tracks(header, items, now_ns));
         Ok(ended.collect())

@@ -4,6 +4,9 @@
 
 use flockeye_contract::FrameStamp;
 use serde::Serialize;
+use tungstenite::Message;
+
+use crate::outbox::OutboxKind;
 
 /// Version of these messages. A page of another version asks to be loaded again.
 pub const PROTOCOL: u32 = 1;
@@ -11,29 +14,68 @@ pub const PROTOCOL: u32 = 1;
 /// A message as text.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 #[serde(tag = "kind", rename_all = "snake_case")]
-pub enum Text<'m> {
+pub enum TextMessage<'m> {
     /// The first message, and again where a pipeline has started anew.
     Hello(&'m Hello),
-    /// A frame has ended.
-    Frame(&'m Frame),
+    Frame(&'m FrameMessage),
     /// What the stages report.
-    Stages(&'m Stages),
-    /// What the peers report, and where all drones are.
-    Swarm(&'m Swarm),
+    Stages {
+        /// One for each process.
+        stages: &'m [ProcessReport],
+    },
+    Swarm {
+        drones: &'m [DroneSummary],
+        /// Sightings: which drone sees which.
+        sightings: &'m [SightingSummary],
+    },
     /// What is wrong with the view itself.
-    Status(&'m Status),
-    /// The frame of a recording that is shown now.
-    Position(&'m Position),
+    Status {
+        running: bool,
+        /// Why there are no pictures, for people; empty where there are.
+        trouble: &'m str,
+    },
+    /// Which frame of a recording is shown now. What belongs to it came before.
+    Position {
+        /// The frame; absent where the recording has none.
+        key: Option<&'m str>,
+        /// The time that is shown, seconds from the recording's beginning.
+        at_s: f64,
+        /// Seconds of the recording in each second; 0: paused.
+        speed: f64,
+        /// The frame whose picture is the nearest before, if there is one.
+        picture: Option<&'m str>,
+        /// How many of the page's commands have been done.
+        answers: u64,
+    },
     /// An overview of a whole recording.
     Overview(&'m Overview),
+}
+
+impl TextMessage<'_> {
+    /// How it waits for a page that follows a running pipeline.
+    pub fn kind(&self) -> OutboxKind {
+        match self {
+            Self::Hello(_) => OutboxKind::Hello,
+            Self::Frame(_) => OutboxKind::Frame,
+            Self::Stages { .. } => OutboxKind::Stages,
+            Self::Swarm { .. } => OutboxKind::Swarm,
+            Self::Status { .. } => OutboxKind::Status,
+            Self::Position { .. } => OutboxKind::Answer,
+            Self::Overview(_) => OutboxKind::Overview,
+        }
+    }
 }
 
 /// The head of a binary message; a JPEG follows it.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[serde(tag = "kind", rename_all = "snake_case")]
-pub enum Head {
+pub enum BinaryHead {
     /// A frame's picture, equirectangular.
-    Picture(PictureHead),
+    Picture {
+        key: String,
+        /// Sides, pixels.
+        size: [u32; 2],
+    },
     /// A neighbour's close-up: panels side by side.
     Closeup(CloseupHead),
 }
@@ -54,25 +96,23 @@ pub struct Hello {
     /// Sides of the camera's frames, pixels.
     pub camera_px: [u32; 2],
     /// The camera's mount on this drone.
-    pub observer_from_camera: Pose,
+    pub observer_from_camera: PagePose,
     /// Tiles of the sphere.
-    pub partitions: Vec<Square>,
+    pub partitions: Vec<ViewSquare>,
     /// High-resolution tiles.
-    pub high_resolution: Vec<Square>,
+    pub high_resolution: Vec<ViewSquare>,
     /// The neighbours' bodies, by their `target` numbers.
-    pub bodies: Vec<Body>,
+    pub bodies: Vec<PageBody>,
     /// Names of the stages that run.
     pub stages: Vec<&'static str>,
     /// Pictures a second, at most.
     pub rate: f32,
     /// The recording that is shown; absent where it is a running pipeline.
-    pub recording: Option<Recording>,
+    pub recording: Option<RecordingSummary>,
 }
 
-/// A recording.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Recording {
-    /// Name of its file.
+pub struct RecordingSummary {
     pub file: String,
     /// When it begins, UTC seconds since 1970.
     pub began_s: f64,
@@ -84,7 +124,7 @@ pub struct Recording {
 
 /// A pose `a_from_b`.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Pose {
+pub struct PagePose {
     /// Metres.
     pub p: [f32; 3],
     /// Unit quaternion x, y, z, w.
@@ -93,38 +133,33 @@ pub struct Pose {
 
 /// A square pinhole view.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Square {
+pub struct ViewSquare {
     /// `camera_from_view`: unit quaternion x, y, z, w.
     pub q: [f32; 4],
     /// Half of its side, at distance 1 along its axis.
     pub half: f32,
 }
 
-/// A marker body.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Body {
-    /// Its name.
+pub struct PageBody {
     pub name: String,
     /// Pose of the markers on their drone.
-    pub target_from_markers: Pose,
+    pub target_from_markers: PagePose,
     /// Outlines of its flat sides in the markers' frame, metres.
     pub facets: Vec<Vec<[f32; 3]>>,
-    /// Its markers.
-    pub markers: Vec<Marker>,
+    pub markers: Vec<PageMarker>,
 }
 
-/// A marker of a body.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Marker {
+pub struct PageMarker {
     /// Its number in the dictionary.
     pub id: u32,
     /// Corners of the black square in the markers' frame, metres.
     pub corners: [[f32; 3]; 4],
 }
 
-/// A frame that has ended.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Frame {
+pub struct FrameMessage {
     /// Names the frame: see [`key`].
     pub key: String,
     /// Its number in its epoch.
@@ -139,33 +174,28 @@ pub struct Frame {
     pub partitions: Vec<u32>,
     /// High-resolution tiles that were searched in it.
     pub high_resolution: Vec<u32>,
-    /// Regions of interest.
-    pub regions: Vec<Region>,
+    pub regions: Vec<RegionView>,
     /// Views of the plan that were cut, and those that were not.
     pub views: [u32; 2],
-    /// Detected markers.
     pub markers: Vec<Detected>,
-    /// The neighbours.
-    pub tracks: Vec<Track>,
-    /// Turns directions in the camera frame of the frame before into this one's: x, y, z, w; absent where
-    /// it is not known.
+    pub tracks: Vec<TrackSummary>,
+    /// Turns directions in the camera frame of the frame before into this one's: x, y, z, w; absent
+    /// where it is not known.
     pub turn: Option<[f32; 4]>,
     /// True poses of the neighbours in a simulated flight.
     pub truth: Vec<Truth>,
-    /// In a recording: when it ended, seconds from the recording's beginning; absent of a running pipeline.
+    /// In a recording: when it ended, seconds from the recording's beginning; absent of a running
+    /// pipeline.
     pub at_s: Option<f64>,
 }
 
-/// A region of interest.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Region {
+pub struct RegionView {
     /// Number of the body that it was cut for.
     pub target: u32,
-    /// The view.
-    pub view: Square,
+    pub view: ViewSquare,
 }
 
-/// A detected marker.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Detected {
     /// Its number in the dictionary.
@@ -178,10 +208,9 @@ pub struct Detected {
 
 /// A neighbour in a frame.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Track {
+pub struct TrackSummary {
     /// Number of its body.
     pub target: u32,
-    /// Its name.
     pub name: String,
     /// Number of the track.
     pub track: u32,
@@ -189,10 +218,9 @@ pub struct Track {
     pub state: &'static str,
     /// `nothing`, `decoded` or `aligned`.
     pub by: &'static str,
-    /// Markers decoded.
     pub markers: u32,
     /// `observer_from_target`.
-    pub pose: Pose,
+    pub pose: PagePose,
     /// Covariance of the position in the observer's frame, m^2: xx, xy, xz, yy, yz, zz.
     pub covariance: [f32; 6],
     /// Standard deviation of the attitude, over all axes together, degrees.
@@ -201,9 +229,9 @@ pub struct Track {
     pub velocity: [f32; 3],
     /// Seconds since it was measured, and since the track began.
     pub unseen_s: f32,
-    /// See `unseen_s`.
     pub age_s: f32,
-    /// Milliseconds of capture, rectification, detection, fusion, and all together; absent where unknown.
+    /// Milliseconds of capture, rectification, detection, fusion, and all together; absent where
+    /// unknown.
     pub latency_ms: [Option<f32>; 5],
 }
 
@@ -213,20 +241,11 @@ pub struct Truth {
     /// Number of its body.
     pub target: u32,
     /// `observer_from_target`.
-    pub pose: Pose,
+    pub pose: PagePose,
 }
 
-/// What the stages report.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Stages {
-    /// One for each process.
-    pub stages: Vec<Stage>,
-}
-
-/// One process of a stage.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Stage {
-    /// Its stage.
+pub struct ProcessReport {
     pub stage: String,
     /// Which worker.
     pub replica: u32,
@@ -242,35 +261,23 @@ pub struct Stage {
     pub published_per_s: f32,
     /// Messages dropped, and refused, since it started.
     pub dropped: u64,
-    /// See `dropped`.
     pub failed: u64,
     /// What it works on now.
     pub queued: u64,
     /// Share of a processor.
     pub processor: f32,
-    /// Resident memory, megabytes.
     pub resident_mb: f32,
     /// Median and 99 % quantile of its latency, milliseconds; absent where nothing was done yet.
     pub latency_ms: Option<[f32; 2]>,
 }
 
-/// What the peers report.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Swarm {
-    /// Where all drones are.
-    pub drones: Vec<Drone>,
-    /// Sightings: which drone sees which.
-    pub sightings: Vec<Sighting>,
-}
-
 /// Where a drone of the swarm is.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Drone {
-    /// Its name.
+pub struct DroneSummary {
     pub name: String,
     /// Pose in this drone's frame.
-    pub pose: Pose,
-    /// Covariance of the position as in [`Track`].
+    pub pose: PagePose,
+    /// Covariance of the position as in [`TrackSummary`].
     pub covariance: [f32; 6],
     /// `direct`, `mutual`, `reported` or `chained`.
     pub way: &'static str,
@@ -282,41 +289,13 @@ pub struct Drone {
 
 /// Where a peer sees somebody.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Sighting {
-    /// Name of the observer.
+pub struct SightingSummary {
     pub observer: String,
-    /// Name of the target.
     pub target: String,
-    /// State of the track.
     pub state: &'static str,
-    /// Distance, metres.
     pub range_m: f32,
     /// Age of the exposure, seconds.
     pub age_s: f32,
-}
-
-/// What is wrong with the view itself.
-#[derive(Debug, Clone, Default, PartialEq, Serialize)]
-pub struct Status {
-    /// Whether the pipeline runs.
-    pub running: bool,
-    /// Why there are no pictures, for people; empty where there are.
-    pub trouble: String,
-}
-
-/// Which frame of a recording is shown now. What belongs to it came before.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Position {
-    /// The frame; absent where the recording has none.
-    pub key: Option<String>,
-    /// The time that is shown, seconds from the recording's beginning.
-    pub at_s: f64,
-    /// Seconds of the recording in each second; 0: paused.
-    pub speed: f64,
-    /// The frame whose picture is the nearest before, if there is one.
-    pub picture: Option<String>,
-    /// How many of the page's commands have been done.
-    pub answers: u64,
 }
 
 /// An overview of a recording: its time in equal parts, each with what is worst in it.
@@ -324,9 +303,8 @@ pub struct Position {
 pub struct Overview {
     /// Share of the recording that has been read for it, 0 to 1.
     pub done: f32,
-    /// The slowest neighbour's latency as in [`Track`]; absent where there is none.
+    /// The slowest neighbour's latency as in [`TrackSummary`]; absent where there is none.
     pub latency_ms: Vec<Option<[Option<f32>; 5]>>,
-    /// Each neighbour's states.
     pub states: Vec<TargetStates>,
     /// Frames that never ended.
     pub skipped: Vec<u32>,
@@ -348,27 +326,14 @@ pub struct TargetStates {
 /// What a recording lacks of a topic.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct TopicLoss {
-    /// Its name.
     pub topic: String,
-    /// Messages that are recorded.
     pub recorded: u64,
     /// Messages that are, or may be, missing.
     pub lost: u64,
 }
 
-/// Head of a picture.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct PictureHead {
-    /// The frame.
-    pub key: String,
-    /// Sides, pixels.
-    pub size: [u32; 2],
-}
-
-/// Head of a close-up.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct CloseupHead {
-    /// The frame.
     pub key: String,
     /// Number of the body.
     pub target: u32,
@@ -377,12 +342,12 @@ pub struct CloseupHead {
     /// Panels in the JPEG: picture, then model and residual where the body could be compared.
     pub panels: u32,
     /// How well both agree, where it could be compared.
-    pub score: Option<Score>,
+    pub score: Option<Likeness>,
 }
 
 /// How well the picture and the model agree.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Score {
+pub struct Likeness {
     /// Mean normalized correlation of the cells.
     pub correlation: f32,
     /// Log odds of the body being there, by the pixels alone.
@@ -397,17 +362,17 @@ pub fn key(stamp: &FrameStamp) -> String {
 }
 
 /// A text message as it goes over the wire.
-pub fn text(message: &Text<'_>) -> String {
+pub fn text(message: &TextMessage<'_>) -> Message {
     // These types have no maps with other keys than texts, so they always have a JSON form.
-    serde_json::to_string(message).unwrap_or_default()
+    Message::text(serde_json::to_string(message).unwrap_or_default())
 }
 
 /// A binary message: the length of the head (4 bytes, little endian), the head as JSON, the JPEG.
-pub fn binary(head: &Head, jpeg: &[u8]) -> Vec<u8> {
+pub fn binary(head: &BinaryHead, jpeg: &[u8]) -> Message {
     // As above.
     let head = serde_json::to_vec(head).unwrap_or_default();
     let length = u32::try_from(head.len()).unwrap_or(0).to_le_bytes();
-    [&length[..], &head, jpeg].concat()
+    Message::binary([&length[..], &head, jpeg].concat())
 }
 
 #[cfg(test)]

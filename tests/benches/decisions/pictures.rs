@@ -79,7 +79,8 @@ impl Still {
         Cutting { view, pixels }
     }
 
-    /// The same picture exposed longer by so many stops. It was blurred as light, and is clipped after that.
+    /// The same picture exposed longer by so many stops. It was blurred as light, and is clipped
+    /// after that.
     pub fn exposed(&self, stops: f64) -> Self {
         let decode = |code: f64| {
             if code <= 0.04045 { code / 12.92 } else { ((code + 0.055) / 1.055).powf(2.4) }

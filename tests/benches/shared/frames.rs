@@ -3,17 +3,19 @@
 use std::path::Path;
 use std::time::Duration;
 
-use flockeye_capture::{Event, Paced, Source, SourceParameters};
+use flockeye_capture::{Event, FrameSource, SourceParameters};
+use flockeye_config::Flow;
 use flockeye_geometry::camera::Camera;
 use flockeye_imaging::sphere::SphereImage;
 
 /// Gives each frame with its number, from 0.
 pub fn each_frame(path: &Path, camera: Camera, mut each: impl FnMut(u64, &SphereImage<'_>)) {
     let parameters = SourceParameters {
-        flow: Paced::Lossless,
+        flow: Flow::Lossless,
         ..SourceParameters::new(camera.width(), camera.height())
     };
-    let mut source = Source::open(path.display().to_string().parse().unwrap(), parameters).unwrap();
+    let mut source =
+        FrameSource::open(path.display().to_string().parse().unwrap(), parameters).unwrap();
     for number in 0.. {
         let picture = loop {
             match source.next(Duration::from_secs(5)).unwrap() {

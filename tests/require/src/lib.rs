@@ -1,15 +1,17 @@
-//! What tests share: what they need that not every machine has (the reference recordings, a Vulkan device), and
-//! sockets of the [`loopback`] interface.
+//! What tests share: what they need that not every machine has (the reference recordings, a Vulkan
+//! device), and sockets of the [`loopback`] interface.
 //!
-//! A test skips where such a thing is absent, and says so. `FLOCKEYE_REQUIRE=recordings,vulkan` names what must
-//! be there. Then the test fails instead, so that a run that skipped cannot pass for one that tested. Others are
-//! `namespaces` (mounts of our own), `radio` (network namespaces with /dev/net/tun), `python` and `c` (what stages
-//! in them need), `browser` (Chromium), and `fault-points` (a launcher that was built with them).
+//! A test skips where such a thing is absent, and says so. `FLOCKEYE_REQUIRE=recordings,vulkan`
+//! names what must be there. Then the test fails instead, so that a run that skipped cannot pass
+//! for one that tested. Others are `namespaces` (mounts of our own), `radio` (network namespaces
+//! with /dev/net/tun), `python` and `c` (what stages in them need), `browser` (Chromium), and
+//! `fault-points` (a launcher that was built with them).
 
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 
 pub mod loopback;
+pub mod python;
 
 /// The environment variable that names what must be there, separated by commas.
 pub const REQUIRE: &str = "FLOCKEYE_REQUIRE";
@@ -22,8 +24,8 @@ pub const VULKAN: &str = "vulkan";
 /// The name of Python with the package of `clients/python` in [`REQUIRE`].
 pub const PYTHON: &str = "python";
 
-/// The environment variable that names the folder of the reference recordings. A relative path begins at the
-/// repository; left out: [`DEFAULT_DATA`].
+/// The environment variable that names the folder of the reference recordings. A relative path
+/// begins at the repository; left out: [`DEFAULT_DATA`].
 pub const DATA: &str = "FLOCKEYE_DATA";
 
 /// The default of [`DATA`].

@@ -1,5 +1,6 @@
-//! A camera whose frames come when they like, and whose clock jumps: what `stages.simulator.command`
-//! may be set to. It shows the simulated world, and says of each frame what [`exposure`] makes of it.
+//! A camera whose frames come when they like, and whose clock jumps: what
+//! `stages.simulator.command` may be set to. It shows the simulated world, and says of each frame
+//! what [`exposure`] makes of it.
 
 use std::process::ExitCode;
 

@@ -15,13 +15,13 @@ use flockeye_contract::{
     FrameEnd, FrameEnds, FrameHeader, FrameStamp, Frames, ImuHeader, ImuSample, Imus, PlanHeader,
     Plans, Rotation, RotationSource, Rotations, StageState, StopReason, TrackHeader, Tracks,
 };
-use flockeye_runtime::stage::StageProcess;
+use flockeye_runtime::stage::StageRuntime;
 use flockeye_runtime::{Step, clock};
 
 fn main() -> anyhow::Result<()> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let [stage, misdeed] = arguments.as_slice() else { anyhow::bail!("which stage, and how?") };
-    let mut process = StageProcess::join(stage)?;
+    let mut process = StageRuntime::join(stage)?;
     let step = misdeed_of(&mut process, misdeed)?;
     process.report(StageState::Ready)?;
     process.serve(step)
@@ -29,7 +29,7 @@ fn main() -> anyhow::Result<()> {
 
 type StepFunction = Box<dyn FnMut() -> anyhow::Result<Step>>;
 
-fn misdeed_of(process: &mut StageProcess, misdeed: &str) -> anyhow::Result<StepFunction> {
+fn misdeed_of(process: &mut StageRuntime, misdeed: &str) -> anyhow::Result<StepFunction> {
     let (size, ports) = (process.context.resolved.pipeline.camera.clone(), &mut process.ports);
     Ok(match misdeed {
         "mute" => Box::new(|| Ok(Step::Wait)),

@@ -1,7 +1,8 @@
 //! What onlookers take from a pipeline: `onlookers [SECONDS]` prints a table.
 //!
-//! Each row is a flight of the default pipeline, with nobody beside it, with the view, or with a recorder. A watcher is a
-//! page's socket without a page: it takes pictures and says so. What it takes itself is not counted.
+//! Each row is a flight of the default pipeline, with nobody beside it, with the view, or with a
+//! recorder. A watcher is a page's socket without a page: it takes pictures and says so. What it
+//! takes itself is not counted.
 
 use std::net::TcpStream;
 use std::process::Command;
@@ -11,7 +12,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::Context;
 use flockeye_require::loopback::free_port;
-use flockeye_tests::{Flight, Scratch, flockeye, unique};
+use flockeye_tests::{Flight, Scratch, flockeye, ticks_of, unique};
 use rustix::process::Signal;
 use tungstenite::Message;
 
@@ -82,7 +83,7 @@ fn measure(onlooker: Onlooker, time: Duration) -> anyhow::Result<()> {
         _ => None,
     };
     std::thread::sleep(WARM_UP);
-    let pid = beside.as_ref().map(|beside| beside.pid().as_raw_nonzero().get());
+    let pid = beside.as_ref().map(|beside| beside.pid().as_raw_nonzero().get().unsigned_abs());
     let ticks = || pid.map_or(Ok(0.0), ticks_of);
     let pictures =
         || watcher.as_ref().map_or(0, |watcher| watcher.pictures.load(Ordering::Relaxed));
@@ -117,15 +118,6 @@ fn counted(output: &str) -> Option<(u64, u64)> {
     let searched = before.rsplit(|letter: char| !letter.is_ascii_digit()).next()?;
     let skipped = after.split(|letter: char| !letter.is_ascii_digit()).next()?;
     Some((searched.parse().ok()?, skipped.parse().ok()?))
-}
-
-/// User and system time of a process, clock ticks.
-fn ticks_of(pid: i32) -> anyhow::Result<f64> {
-    let stat = std::fs::read_to_string(format!("/proc/{pid}/stat"))?;
-    // After the name, which may hold blanks: user and system time are the 12th and 13th.
-    let fields = stat.rsplit_once(')').context("no such line")?.1;
-    let ticks = fields.split_whitespace().skip(11).take(2).map(str::parse::<f64>);
-    Ok(ticks.sum::<Result<f64, _>>()?)
 }
 
 /// A page's socket that takes pictures.

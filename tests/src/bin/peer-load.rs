@@ -1,8 +1,9 @@
-//! How many drones one router and one machine carry: `peer-load [SECONDS] [OBSERVERS[@HZ]...]` prints a table. With a
-//! rate the router passes reports of each observer on to each other one at most so often.
+//! How many drones one router and one machine carry: `peer-load [SECONDS] [OBSERVERS[@HZ]...]`
+//! prints a table. With a rate the router passes reports of each observer on to each other one at
+//! most so often.
 //!
-//! Each observer is a process of its own, a client of the router, that reports one neighbour 30 times a second and hears
-//! all others. All of them and the router share this machine's processors.
+//! Each observer is a process of its own, a client of the router, that reports one neighbour 30
+//! times a second and hears all others. All of them and the router share this machine's processors.
 
 use std::collections::BTreeMap;
 use std::io::{BufRead, BufReader, Read, Write};
@@ -19,6 +20,7 @@ use flockeye_network::{
     Network, NetworkMode, NetworkParameters, monotonic_now_ns, utc_from_monotonic,
 };
 use flockeye_require::loopback::{free_port, tcp};
+use flockeye_tests::ticks_of;
 
 /// From report to report.
 const PERIOD: Duration = Duration::from_nanos(33_333_333);
@@ -257,13 +259,4 @@ fn target(number: usize) -> TargetReport {
         }),
         degenerate: None,
     }
-}
-
-/// Processor time that a process has used.
-fn ticks_of(pid: u32) -> anyhow::Result<f64> {
-    let stat = std::fs::read_to_string(format!("/proc/{pid}/stat"))?;
-    // After the name, which may hold blanks: user and system time are the 12th and 13th.
-    let fields = stat.rsplit_once(')').context("no such line")?.1;
-    let ticks = fields.split_whitespace().skip(11).take(2).map(str::parse::<f64>);
-    Ok(ticks.sum::<Result<f64, _>>()?)
 }

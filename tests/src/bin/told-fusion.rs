@@ -1,4 +1,5 @@
-//! A fusion that sees nothing: it says where it is told that neighbours are. `told-fusion PERIOD_MS NAME...`
+//! A fusion that sees nothing: it says where it is told that neighbours are. `told-fusion PERIOD_MS
+//! NAME...`
 //!
 //! With it a gateway flies without a camera, so that many of them fit on one machine.
 
@@ -9,7 +10,7 @@ use flockeye_contract::{
     FrameStamp, MeasuredBy, Pose, StageState, Track, TrackHeader, TrackState, Tracks,
 };
 use flockeye_runtime::ports::Publisher;
-use flockeye_runtime::stage::StageProcess;
+use flockeye_runtime::stage::StageRuntime;
 use flockeye_runtime::{Step, clock};
 
 /// So old a pose is when it is told, nanoseconds.
@@ -19,7 +20,7 @@ fn main() -> anyhow::Result<()> {
     let mut arguments = std::env::args().skip(1);
     let period_ms: i64 = arguments.next().context("how often?")?.parse()?;
     let names: Vec<String> = arguments.collect();
-    let mut process = StageProcess::join("fusion")?;
+    let mut process = StageRuntime::join("fusion")?;
     let tracks: Publisher<Tracks> = process.ports.publisher()?;
     let (begun, mut sequence, mut due_ns) = (Instant::now(), 0, clock::monotonic_ns());
     process.report(StageState::Ready)?;

@@ -7,7 +7,9 @@ use std::time::{Duration, Instant};
 
 use flockeye_config::Pipeline;
 use flockeye_tables::{PoseRow, TruthRow, read};
-use flockeye_tests::{Flight, SMALL_FLIGHT, Scratch, WATCHDOG, absent, flockeye, run, unique};
+use flockeye_tests::{
+    Flight, SMALL_FLIGHT, Scratch, WATCHDOG, absent, flockeye, run, succeeds, unique,
+};
 use gstreamer as gst;
 use gstreamer::prelude::*;
 
@@ -207,8 +209,7 @@ fn bodies_that_cannot_be_told_apart_are_refused() {
     }
     // The same file is fine once they differ.
     std::fs::write(&file, bodies(&[("kite", 5), ("wren", 6)])).expect("it can be written");
-    let (succeeded, output) = run(&["check", "--bodies", text(&file)]);
-    assert!(succeeded, "{output}");
+    succeeds(&["check", "--bodies", text(&file)]);
 }
 
 #[test]
@@ -253,8 +254,7 @@ fn a_neighbour_that_nobody_told_us_about_is_ignored() {
     let (poses, truth) = (scratch.path("poses.csv"), scratch.path("truth.csv"));
     let arguments = ["--poses", text(&poses), "--truth", text(&truth)];
     let mut flight = Flight::start("stranger", &arguments, &set);
-    assert!(flight.wait().success(), "{}", flight.output());
-    flight.assert_nothing_left();
+    flight.assert_ends_well();
     let truths: Vec<TruthRow> = read(&truth).expect("the truth was recorded");
     let shown = truths.iter().filter(|row| row.body == "bravo" && row.localisable == 1).count();
     assert!(shown > 0, "the stranger was never to be seen");

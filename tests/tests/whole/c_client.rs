@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use flockeye_contract::{Complaints, Detections, MeasuredBy, Tracks, Truths};
 use flockeye_tests::onlooker::{join, subscribe};
-use flockeye_tests::{Flight, SMALL_FLIGHT, Scratch, WATCHDOG, absent, flockeye, run};
+use flockeye_tests::{Flight, SMALL_FLIGHT, Scratch, WATCHDOG, absent, flockeye, run, succeeds};
 use nalgebra::Vector3;
 
 const DICTIONARY: &str = "bodies.dictionary=DICT_APRILTAG_36h11";
@@ -35,8 +35,8 @@ fn install(scratch: &Scratch) -> String {
     prefix
 }
 
-/// The program that `flockeye stage new detection --lang c` is a text of, written and built; `None` where what it needs
-/// is absent.
+/// The program that `flockeye stage new detection --lang c` is a text of, written and built; `None`
+/// where what it needs is absent.
 fn new_detector(scratch: &Scratch) -> Option<String> {
     let has = |program: &str, arguments: &[&str]| {
         Command::new(program).args(arguments).output().is_ok_and(|output| output.status.success())
@@ -47,8 +47,7 @@ fn new_detector(scratch: &Scratch) -> Option<String> {
     }
     let folder = scratch.path("detection");
     let folder = folder.to_str().expect("a plain path");
-    let (succeeded, output) = run(&["stage", "new", "detection", "--lang", "c", folder]);
-    assert!(succeeded, "{output}");
+    let output = succeeds(&["stage", "new", "detection", "--lang", "c", folder]);
     let (prefix, build) = (install(scratch), format!("{folder}/build"));
     let prefix = format!("-DCMAKE_PREFIX_PATH={prefix}");
     run_program("cmake", &["-S", folder, "-B", &build, &prefix, "-DCMAKE_C_FLAGS=-Werror"]);
@@ -63,21 +62,11 @@ fn a_detector_in_c_takes_over_and_poses_are_as_true_as_its_corners() {
     let scratch = Scratch::new("c-detector");
     let Some(detector) = new_detector(&scratch) else { return };
     let set = [SMALL_FLIGHT, &[DICTIONARY, "fusion.align=false"]].concat();
-    let mut flight = Flight::start("c-detector", &[], &set);
-    flight.wait_for("alpha confirmed");
+    let mut flight = Flight::with_poses("c-detector", &[], &set);
     let name = flight.instance.name().to_owned();
     for worker in ["detection", "detection.1"] {
-        let (succeeded, output) = run(&[
-            "swap",
-            worker,
-            "--instance",
-            &name,
-            "--within",
-            "60s",
-            "--accept-worse",
-            "--",
-            &detector,
-        ]);
+        let swap = ["swap", worker, "--within", "60s", "--accept-worse", "--", &detector];
+        let (succeeded, output) = flight.ask(&swap);
         assert!(succeeded && output.contains("is swapped after"), "{output}\n{}", flight.output());
     }
     let mut ports = join(&mut flight);
@@ -116,10 +105,8 @@ fn a_detector_in_c_takes_over_and_poses_are_as_true_as_its_corners() {
     // A corner that is half a pixel off, or another corner's, is far more than this at 0.6 m.
     assert!(errors_m[errors_m.len() / 2] < 0.01, "{errors_m:?}");
     drop((tracks, truths, detections, ports));
-    let (succeeded, output) = run(&["stop", "--instance", &name]);
-    assert!(succeeded, "{output}");
-    assert!(flight.wait().success(), "{}", flight.output());
-    flight.assert_nothing_left();
+    succeeds(&["stop", "--instance", &name]);
+    flight.assert_ends_well();
 }
 
 #[test]
@@ -222,8 +209,8 @@ int main(void) {
 }
 "#;
 
-/// A detection that answers each view by what the example does not use: memory that it borrows, the loop's own clock,
-/// refusals and complaints.
+/// A detection that answers each view by what the example does not use: memory that it borrows, the
+/// loop's own clock, refusals and complaints.
 const BORROWER: &str = r#"
 #include <assert.h>
 #include <string.h>
@@ -364,10 +351,8 @@ fn a_stage_in_c_borrows_memory_wakes_by_itself_refuses_and_complains() {
         std::thread::sleep(Duration::from_millis(5));
     }
     drop((detections, complaints, ports));
-    let (succeeded, output) = run(&["stop", "--instance", flight.instance.name()]);
-    assert!(succeeded, "{output}");
-    assert!(flight.wait().success(), "{}", flight.output());
-    flight.assert_nothing_left();
+    succeeds(&["stop", "--instance", flight.instance.name()]);
+    flight.assert_ends_well();
 }
 
 #[test]

@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-use flockeye_tests::{Flight, Scratch, run};
+use flockeye_tests::{Flight, Scratch, run, succeeds};
 use serde_json::Value;
 
 /// Two equidistant lenses, 16 mm apart.
@@ -44,10 +44,8 @@ fn fly(name: &str, camera: &str, set: &[&str]) -> (Value, String) {
     let (pipeline, poses, truth) = (path("pipeline.yaml"), path("poses.csv"), path("truth.csv"));
     std::fs::write(&pipeline, yaml).expect("a temporary file can be written");
     let mut flight = Flight::start(name, &[&pipeline, "--poses", &poses, "--truth", &truth], set);
-    assert!(flight.wait().success(), "{}", flight.output());
-    flight.assert_nothing_left();
-    let (succeeded, report) = run(&["eval", "--poses", &poses, "--truth", &truth, "--json"]);
-    assert!(succeeded, "{report}");
+    flight.assert_ends_well();
+    let report = succeeds(&["eval", "--poses", &poses, "--truth", &truth, "--json"]);
     let report: Value = serde_json::from_str(&report).expect("the report is JSON");
     (report, flight.output())
 }

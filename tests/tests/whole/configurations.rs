@@ -1,4 +1,5 @@
-//! The configurations of `deploy/configurations`: each is in order, and those that need no camera are flown.
+//! The configurations of `deploy/configurations`: each is in order, and those that need no camera
+//! are flown.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -75,9 +76,7 @@ fn two_simulated_drones_hear_each_other() {
         assert!(started.elapsed() < WATCHDOG, "{}\nonlookers heard {said}", outputs());
     }
     for mut flight in flights {
-        flight.signal(Signal::TERM);
-        assert!(flight.wait().success(), "{}", flight.output());
-        flight.assert_nothing_left();
+        flight.end_by(Signal::TERM);
     }
 }
 

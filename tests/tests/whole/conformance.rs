@@ -3,7 +3,7 @@
 use std::net::UdpSocket;
 
 use flockeye_tests::autopilot::SimulatedAutopilot;
-use flockeye_tests::{Flight, SMALL_FLIGHT, flockeye, recordings, run};
+use flockeye_tests::{Flight, SMALL_FLIGHT, flockeye, recordings, run, succeeds};
 use serde_json::Value;
 
 /// A small sphere, so that the test takes seconds.
@@ -61,8 +61,7 @@ fn a_candidate_is_compared_with_our_own_stage_on_a_recording() {
     let detector = detector.to_str().expect("a plain path");
     let beside = ["--json", "--beside", &flight, "--bodies", &bodies];
     let arguments = [&["stage", "test", "detection"], &beside[..], &["--", detector]].concat();
-    let (succeeded, output) = run(&arguments);
-    assert!(succeeded, "{output}");
+    let output = succeeds(&arguments);
     let report: Value = serde_json::from_str(&output).expect("nothing but JSON");
     let figures = report["figures"].as_array().expect("a list");
     let value = |what: &str| {

@@ -3,7 +3,7 @@
 use flockeye_contract::{MeasuredBy, RotationSource};
 use flockeye_convert::{camera_turn, rotation};
 use flockeye_tests::onlooker::Tape;
-use flockeye_tests::{Flight, SMALL_FLIGHT, Scratch, run};
+use flockeye_tests::{Flight, SMALL_FLIGHT, Scratch, run, succeeds};
 use nalgebra::Vector3;
 use rustix::process::{Signal, kill_process};
 use serde_json::Value;
@@ -66,7 +66,8 @@ fn the_rotation_in_gusts_is_that_of_the_truth_and_velocities_do_without_it() {
     assert!((0.3..12.0).contains(&normalised), "NEES {normalised}, 3 is right: {errors_deg:?}");
     assert!(fastest_deg_s > 25.0, "the flight was to be wild: {fastest_deg_s} degrees/s");
     assert!(measured(&tape) as u64 > FRAMES / 2, "{}", tape.output);
-    // The simulated neighbour flies below 0.8 m/s and both sway; to the camera's axes it moves faster.
+    // The simulated neighbour flies below 0.8 m/s and both sway; to the camera's axes it moves
+    // faster.
     let last = tape.tracks.iter().rev().find_map(|(_, tracks)| tracks.first()).expect("a track");
     let speed = Vector3::from(last.linear_velocity).norm();
     assert!(speed < 2.0, "{speed} m/s");
@@ -83,11 +84,9 @@ fn recorded_rotations_are_judged_by_the_truth() {
     let recorded = ["--poses", poses, "--truth", truth, "--rotations", rotations];
     let arguments = [&["--profile", "repeat"], &recorded[..]].concat();
     let mut flight = Flight::start("rotations", &arguments, &set);
-    assert!(flight.wait().success(), "{}", flight.output());
-    flight.assert_nothing_left();
+    flight.assert_ends_well();
 
-    let (succeeded, output) = run(&[&["eval", "--json"], &recorded[..]].concat());
-    assert!(succeeded, "{output}");
+    let output = succeeds(&[&["eval", "--json"], &recorded[..]].concat());
     let found: Value = serde_json::from_str(&output).expect("nothing but JSON");
     // The first frame has none before it.
     let judged = &found["rotations"];
@@ -101,8 +100,7 @@ fn recorded_rotations_are_judged_by_the_truth() {
     // A lossless run predicts to the exposure itself: nothing to judge.
     assert!(found["predictions"].is_null() && number(&found["measured"]) > 0.0, "{found}");
 
-    let (succeeded, output) = run(&["eval", "--rotations", rotations, "--truth", truth]);
-    assert!(succeeded, "{output}");
+    succeeds(&["eval", "--rotations", rotations, "--truth", truth]);
     for wanted in ["known in 44 frames, not known in 1", "error to each frame median", "its NEES"] {
         assert!(output.contains(wanted), "{wanted:?} is missing in:\n{output}");
     }
@@ -128,8 +126,7 @@ fn bodies_are_measured_at_the_time_of_their_rows() {
     let mut flight =
         Flight::start("readout", &[&["--profile", "repeat"], &recorded[..]].concat(), &set);
     assert!(flight.wait().success(), "{}", flight.output());
-    let (succeeded, output) = run(&[&["eval", "--json"], &recorded[..]].concat());
-    assert!(succeeded, "{output}");
+    let output = succeeds(&[&["eval", "--json"], &recorded[..]].concat());
     let found: Value = serde_json::from_str(&output).expect("nothing but JSON");
     let all = found["bins"].as_array().and_then(|bins| bins.last()).expect("a bin of all");
     let number = |value: &Value| value.as_f64().unwrap_or_else(|| panic!("{value} in {all}"));
@@ -165,9 +162,7 @@ fn a_flight_goes_on_while_egomotion_is_replaced() {
     kill_process(egomotion, Signal::KILL).expect("it can be killed");
     flight.wait_for("egomotion was killed by signal 9; it is started again");
     flight.wait_for("confirmed");
-    flight.signal(Signal::INT);
-    assert!(flight.wait().success(), "{}", flight.output());
-    flight.assert_nothing_left();
+    flight.end_by(Signal::INT);
 }
 
 #[test]

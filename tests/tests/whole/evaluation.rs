@@ -1,9 +1,9 @@
-//! What `flockeye eval` and `flockeye experiment` make of real flights, and of files that are not as
-//! they should be.
+//! What `flockeye eval` and `flockeye experiment` make of real flights, and of files that are not
+//! as they should be.
 
 use std::path::Path;
 
-use flockeye_tests::{Flight, SMALL_FLIGHT, Scratch, run};
+use flockeye_tests::{Flight, SMALL_FLIGHT, Scratch, run, succeeds};
 use serde_json::Value;
 
 fn text(path: &Path) -> &str {
@@ -15,12 +15,12 @@ fn settings() -> impl Iterator<Item = &'static str> {
     SMALL_FLIGHT.iter().copied().chain(["camera.width=2048", "camera.height=1024"])
 }
 
-/// Runs `flockeye` with these arguments and these settings, and reads the JSON object that it prints.
+/// Runs `flockeye` with these arguments and these settings, and reads the JSON object that it
+/// prints.
 fn found(arguments: &[&str], set: &[&'static str]) -> Value {
     let settings = settings().chain(set.iter().copied()).flat_map(|setting| ["--set", setting]);
     let arguments: Vec<&str> = arguments.iter().copied().chain(settings).collect();
-    let (succeeded, output) = run(&arguments);
-    assert!(succeeded, "{output}");
+    let output = succeeds(&arguments);
     let json = output.lines().find(|line| line.starts_with('{'));
     serde_json::from_str(json.unwrap_or_else(|| panic!("no JSON in:\n{output}"))).expect("JSON")
 }
@@ -36,13 +36,11 @@ fn a_flight_is_judged_and_drawn() {
     let arguments = ["--profile", "repeat", "--poses", text(&poses), "--truth", text(&truth)];
     let set: Vec<&str> = settings().chain(["simulator.frames=40"]).collect();
     let mut flight = Flight::start("judged", &arguments, &set);
-    assert!(flight.wait().success(), "{}", flight.output());
-    flight.assert_nothing_left();
+    flight.assert_ends_well();
 
     let report = scratch.path("report");
     let files = ["eval", "--poses", text(&poses), "--truth", text(&truth)];
-    let (succeeded, output) = run(&[&files[..], &["--json", "--report", text(&report)]].concat());
-    assert!(succeeded, "{output}");
+    let output = succeeds(&[&files[..], &["--json", "--report", text(&report)]].concat());
     let evaluation: Value = serde_json::from_str(&output).expect("nothing but JSON");
     let bins = evaluation["bins"].as_array().expect("bins");
     let all = bins.last().expect("the last is everything");
@@ -75,8 +73,7 @@ fn a_flight_is_judged_and_drawn() {
     assert_eq!(page.matches("<svg").count(), 8, "distance, three axes, three looks, the error");
     assert!(!page.contains("http"), "nothing is fetched");
 
-    let (succeeded, output) = run(&files);
-    assert!(succeeded, "{output}");
+    succeeds(&files);
     for wanted in ["distance m", "all ", "NEES of tracks, position: mean", "latency median"] {
         assert!(output.contains(wanted), "{wanted:?} is missing in:\n{output}");
     }
@@ -89,10 +86,8 @@ fn poses_predicted_for_the_time_of_sending_are_judged_by_the_truth_of_then() {
     let recorded = ["--poses", text(&poses), "--truth", text(&truth)];
     let arguments = [&["--profile", "flight", "--for", "4s"], &recorded[..]].concat();
     let mut flight = Flight::start("predicted", &arguments, SMALL_FLIGHT);
-    assert!(flight.wait().success(), "{}", flight.output());
-    flight.assert_nothing_left();
-    let (succeeded, output) = run(&[&["eval", "--json"], &recorded[..]].concat());
-    assert!(succeeded, "{output}");
+    flight.assert_ends_well();
+    let output = succeeds(&[&["eval", "--json"], &recorded[..]].concat());
     let found: Value = serde_json::from_str(&output).expect("nothing but JSON");
     let predictions = &found["predictions"]["measured"];
     assert!(number(&predictions["compared"]) > 10.0, "{predictions}");

@@ -9,8 +9,8 @@ use flockeye_contract::{BodyTruth, MeasuredBy, Track, TrackHeader, TrackState, T
 use flockeye_recording::channel::{ChannelKind, LOSSES};
 use flockeye_recording::file::RecordingFile;
 use flockeye_recording::losses::{Loss, decode_loss, encode_loss};
-use flockeye_recording::{Reader, RecordingWriter};
-use flockeye_tests::{Flight, SMALL_FLIGHT, Scratch, flockeye, run};
+use flockeye_recording::{RecordingReader, RecordingWriter};
+use flockeye_tests::{Flight, SMALL_FLIGHT, Scratch, flockeye, run, succeeds};
 use serde_json::Value;
 
 use crate::recording::{read, text};
@@ -31,14 +31,13 @@ fn flown(name: &str, scratch: &Scratch, arguments: &[&str], set: &[&str]) -> Pat
     let setting = format!("recording.folder={}", folder.display());
     let set: Vec<&str> = set.iter().copied().chain([setting.as_str()]).collect();
     let mut flight = Flight::start(name, arguments, &set);
-    assert!(flight.wait().success(), "{}", flight.output());
-    flight.assert_nothing_left();
+    flight.assert_ends_well();
     let mut files = std::fs::read_dir(folder).expect("it was made");
     files.next().expect("one recording").expect("it can be read").path()
 }
 
-/// Flies in real time. A recorder loses messages where other tests keep the processors from it for long, and says so
-/// in its recording. Then it flies again.
+/// Flies in real time. A recorder loses messages where other tests keep the processors from it for
+/// long, and says so in its recording. Then it flies again.
 pub(crate) fn flown_without_losses(name: &str, scratch: &Scratch, set: &[&str]) -> PathBuf {
     const FLIGHTS: usize = 4;
     for _ in 0..FLIGHTS {
@@ -51,9 +50,10 @@ pub(crate) fn flown_without_losses(name: &str, scratch: &Scratch, set: &[&str]) 
     panic!("the recorder lost messages of each of {FLIGHTS} flights");
 }
 
-/// Whether the recorder says that it was too late for some messages. Those that were never sent do not count.
+/// Whether the recorder says that it was too late for some messages. Those that were never sent do
+/// not count.
 fn has_losses(recording: &Path) -> bool {
-    let mut reader = Reader::open(recording).expect("it is a recording");
+    let mut reader = RecordingReader::open(recording).expect("it is a recording");
     while let Some(message) = reader.next_message().expect("it can be read") {
         if message.channel.topic == LOSSES {
             let (_, loss) = decode_loss(&message.bytes).expect("the recorder wrote it");
@@ -119,6 +119,16 @@ fn distance(one: [f64; 3], other: [f64; 3]) -> f64 {
     one.iter().zip(other).map(|(one, other)| (one - other).powi(2)).sum::<f64>().sqrt()
 }
 
+/// The answer about a frame that measured alpha, and the pose: that of its track, to the last bits.
+fn explained_exactly(recording: &Path, frame: u64, track: &Track) -> (Value, [f64; 3]) {
+    let said = explained(recording, "alpha", frame);
+    assert_eq!(said["step"], "measured", "{said}");
+    assert_eq!(said["reliance"]["is_exact"], true, "{}", said["reliance"]);
+    let measured = position(&said["result"]["measured"]);
+    assert!(distance(measured, track.measured_observer_from_target.position) < 1e-12, "{said}");
+    (said, measured)
+}
+
 #[test]
 fn a_lossless_flight_is_explained_exactly() {
     let scratch = Scratch::new("explained");
@@ -133,11 +143,7 @@ fn a_lossless_flight_is_explained_exactly() {
             && told.frame > 20
     };
     let Told { frame, track } = told.iter().find(is_aligned).expect("alpha is measured");
-    let said = explained(&recording, "alpha", *frame);
-    assert_eq!(said["step"], "measured", "{said}");
-    assert_eq!(said["reliance"]["is_exact"], true, "{}", said["reliance"]);
-    let measured = position(&said["result"]["measured"]);
-    assert!(distance(measured, track.measured_observer_from_target.position) < 1e-12, "{said}");
+    let (said, measured) = explained_exactly(&recording, *frame, track);
     let error_m = distance(measured, true_position(&recording, *frame, 0));
     let stated = said["truth"]["error"]["position_m"].as_f64().expect("the truth is recorded");
     assert!((stated - error_m).abs() < 1e-9 && error_m < 0.05, "{stated} and {error_m} m");
@@ -203,8 +209,7 @@ fn as_text_and_picture(scratch: &Scratch, recording: &Path, frame: u64) {
     let picture = scratch.path("alpha.png");
     let number = frame.to_string();
     let arguments = ["explain", text(recording), "--target", "alpha", "--image", text(&picture)];
-    let (is_well, said) = run(&[&arguments[..], &["--frame", number.as_str()]].concat());
-    assert!(is_well, "{said}");
+    let said = succeeds(&[&arguments[..], &["--frame", number.as_str()]].concat());
     for wanted in ["alpha in frame", "measured by aligning", "log odds", "accepted", "Truth"] {
         assert!(said.contains(wanted), "{wanted:?} is missing in:\n{said}");
     }
@@ -237,7 +242,7 @@ fn what_is_not_there_is_named(recording: &Path) {
 /// A recording that says what it lacks.
 fn losses_are_told(scratch: &Scratch, recording: &Path) {
     let lossy = scratch.path("lossy.mcap");
-    let mut reader = Reader::open(recording).expect("it is a recording");
+    let mut reader = RecordingReader::open(recording).expect("it is a recording");
     let file = RecordingFile::create(&lossy).expect("it is new");
     let mut writer = RecordingWriter::begin(file, reader.about()).expect("it can be written");
     let mut last_ns = 0;
@@ -268,11 +273,7 @@ fn a_flight_in_real_time_is_explained_exactly() {
     let is_measured = |told: &&Told| told.track.measured_by == MeasuredBy::Aligned.code();
     let told = told(&recording);
     let Told { frame, track } = told.iter().rfind(is_measured).expect("alpha is near");
-    let said = explained(&recording, "alpha", *frame);
-    assert_eq!(said["step"], "measured", "{said}");
-    assert_eq!(said["reliance"]["is_exact"], true, "{}", said["reliance"]);
-    let measured = position(&said["result"]["measured"]);
-    assert!(distance(measured, track.measured_observer_from_target.position) < 1e-12, "{said}");
+    let (said, _) = explained_exactly(&recording, *frame, track);
     let passes = said["passes"].as_array().expect("a list");
     let published =
         passes.iter().any(|pass| pass["outcome"] == "published as the frame's measurement");

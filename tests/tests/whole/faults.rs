@@ -2,15 +2,8 @@
 
 use std::time::Duration;
 
-use flockeye_tests::{Flight, SMALL_FLIGHT, flockeye};
+use flockeye_tests::{Flight, POSES_FLOW, flockeye, small_flight};
 use rustix::process::{Signal, kill_process};
-
-/// What is said of the neighbour once it is tracked.
-const POSES_FLOW: &str = "alpha confirmed";
-
-fn small<'a>(more: &[&'a str]) -> Vec<&'a str> {
-    SMALL_FLIGHT.iter().chain(more).copied().collect()
-}
 
 /// A setting by which detection worker 1 misbehaves, and worker 0 is Flockeye's own.
 fn second_worker_that(misdeed: &str) -> String {
@@ -29,15 +22,13 @@ fn wait_for_all(flight: &mut Flight, wanted: &[&str]) {
 }
 
 fn end(mut flight: Flight) {
-    flight.signal(Signal::INT);
-    assert!(flight.wait().success(), "{}", flight.output());
-    flight.assert_nothing_left();
+    flight.end_by(Signal::INT);
 }
 
 /// A worker that takes part and answers nothing is named, kept out and replaced, and poses flow.
 fn a_worker_that(misdeed: &str) {
     let command = second_worker_that(misdeed);
-    let mut flight = Flight::start(misdeed, &[], &small(&[&command]));
+    let mut flight = Flight::start(misdeed, &[], &small_flight(&[&command]));
     wait_for_all(
         &mut flight,
         &[
@@ -69,7 +60,7 @@ fn a_worker_that_spins_is_named_and_replaced() {
 #[test]
 fn a_worker_that_hangs_is_replaced_after_a_heartbeat() {
     let command = second_worker_that("hang");
-    let mut flight = Flight::start("hang", &[], &small(&[&command]));
+    let mut flight = Flight::start("hang", &[], &small_flight(&[&command]));
     wait_for_all(
         &mut flight,
         &[POSES_FLOW, "hangs: no health for 1.", "detection.1 is started again"],
@@ -80,8 +71,7 @@ fn a_worker_that_hangs_is_replaced_after_a_heartbeat() {
 #[test]
 fn a_stage_that_is_stopped_is_replaced_after_a_heartbeat() {
     for stage in ["fusion", "egomotion"] {
-        let mut flight = Flight::start("stopped", &[], &small(&[]));
-        flight.wait_for(POSES_FLOW);
+        let mut flight = Flight::with_poses("stopped", &[], &small_flight(&[]));
         let pids = flight.stages(&format!("flockeye-{stage}"));
         let pid = pids.first().expect("it runs");
         kill_process(*pid, Signal::STOP).expect("it can be stopped");
@@ -94,7 +84,7 @@ fn a_stage_that_is_stopped_is_replaced_after_a_heartbeat() {
 #[test]
 fn a_worker_whose_messages_are_refused_is_replaced_and_given_up_for_a_while() {
     let command = second_worker_that("lie");
-    let set = small(&[&command, "stages.detection.backoff_s=[0.1, 0.1]"]);
+    let set = small_flight(&[&command, "stages.detection.backoff_s=[0.1, 0.1]"]);
     let mut flight = Flight::start("lie", &[], &set);
     wait_for_all(
         &mut flight,
@@ -112,7 +102,7 @@ fn a_worker_whose_messages_are_refused_is_replaced_and_given_up_for_a_while() {
 #[test]
 fn a_worker_whose_records_cannot_be_true_is_named_and_replaced() {
     let command = second_worker_that("impersonate");
-    let mut flight = Flight::start("impersonate", &[], &small(&[&command]));
+    let mut flight = Flight::start("impersonate", &[], &small_flight(&[&command]));
     let reason = "flockeye/detection: a record of worker 99; there are 2, counted from 0";
     wait_for_all(
         &mut flight,
@@ -134,7 +124,7 @@ fn a_stage_that_is_never_ready_is_named_and_a_flight_without_a_frame_is_an_error
         (command.as_str(), "detection (process "),
         ("stages.rectification.command=[sleep, \"100\"]", "rectification (process "),
     ] {
-        let set = small(&[command, "supervision.start_s=1"]);
+        let set = small_flight(&[command, "supervision.start_s=1"]);
         let mut flight = Flight::start("late", &["--for", "3s"], &set);
         let status = flight.wait();
         let output = flight.output();
@@ -149,8 +139,7 @@ fn a_stage_that_is_never_ready_is_named_and_a_flight_without_a_frame_is_an_error
 
 #[test]
 fn sigterm_to_one_process_is_a_polite_restart() {
-    let mut flight = Flight::start("polite", &[], &small(&[]));
-    flight.wait_for(POSES_FLOW);
+    let mut flight = Flight::with_poses("polite", &[], &small_flight(&[]));
     for stage in ["detection", "fusion", "simulator"] {
         let pid = *flight.stages(&format!("flockeye-{stage}")).first().expect("it runs");
         kill_process(pid, Signal::TERM).expect("it can be asked to end");
@@ -170,7 +159,7 @@ fn what_is_left_without_a_stage_is_said_and_flies_on() {
     ] {
         let never = format!("stages.{stage}.restart=never");
         let mut flight =
-            Flight::start("never", &[], &small(&[&never, "stages.detection.replicas=1"]));
+            Flight::start("never", &[], &small_flight(&[&never, "stages.detection.replicas=1"]));
         flight.wait_for(POSES_FLOW);
         let pid = *flight.stages(&format!("flockeye-{stage}")).first().expect("it runs");
         kill_process(pid, Signal::KILL).expect("it can be killed");
@@ -187,7 +176,8 @@ fn what_is_left_without_a_stage_is_said_and_flies_on() {
 
 #[test]
 fn without_a_source_the_flight_ends_with_the_reason() {
-    let mut flight = Flight::start("sourceless", &[], &small(&["stages.simulator.restart=never"]));
+    let mut flight =
+        Flight::start("sourceless", &[], &small_flight(&["stages.simulator.restart=never"]));
     flight.wait_for(POSES_FLOW);
     let pid = *flight.stages("flockeye-simulator").first().expect("it runs");
     kill_process(pid, Signal::KILL).expect("it can be killed");

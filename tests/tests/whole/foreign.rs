@@ -16,7 +16,7 @@ use flockeye_runtime::memory::Budget;
 use flockeye_runtime::ports::{Ports, Subscriber};
 use flockeye_tables::{PoseRow, TruthRow, read};
 use flockeye_tests::onlooker::{Tape, join, subscribe};
-use flockeye_tests::{Flight, SMALL_FLIGHT, Scratch, WATCHDOG, flockeye, unique};
+use flockeye_tests::{Flight, Scratch, WATCHDOG, flockeye, small_flight, unique};
 use iceoryx2::node::Node;
 use iceoryx2::port::notifier::Notifier;
 use iceoryx2::port::publisher::Publisher;
@@ -86,8 +86,8 @@ impl Refusals<'_> {
         }
     }
 
-    /// Tells a lie until each of its readers counts it as refused: of what waits for it, a stage takes the
-    /// newest, and an honest message may have come since.
+    /// Tells a lie until each of its readers counts it as refused: of what waits for it, a stage
+    /// takes the newest, and an honest message may have come since.
     fn after(&mut self, what: &str, readers: &[&str], lie: impl Fn()) {
         let before: Vec<_> = readers.iter().map(|reader| self.of(reader)).collect();
         lie();
@@ -103,10 +103,6 @@ impl Refusals<'_> {
             }
         }
     }
-}
-
-fn small<'a>(more: &[&'a str]) -> Vec<&'a str> {
-    SMALL_FLIGHT.iter().chain(more).copied().collect()
 }
 
 fn lie_with_frames(node: &Node<ipc::Service>, refusals: &mut Refusals<'_>) {
@@ -272,8 +268,7 @@ fn a_foreign_publisher_that_lies_on_every_topic_is_refused_and_poses_stay_right(
     let (poses, truth) = (scratch.path("poses.csv"), scratch.path("truth.csv"));
     let paths = [&poses, &truth].map(|path| path.to_str().expect("a plain path"));
     let arguments = ["--poses", paths[0], "--truth", paths[1]];
-    let mut flight = Flight::start("liar", &arguments, &small(&[]));
-    flight.wait_for("alpha confirmed");
+    let mut flight = Flight::with_poses("liar", &arguments, &small_flight(&[]));
     let mut ports = join(&mut flight);
     let healths = subscribe::<Healths>(&mut flight, &mut ports);
     let mut tracks = subscribe::<Tracks>(&mut flight, &mut ports);
@@ -327,13 +322,15 @@ fn a_foreign_publisher_that_lies_on_every_topic_is_refused_and_poses_stay_right(
 fn assert_poses_are_right(poses: &[PoseRow], truths: &[TruthRow]) {
     let measured: Vec<_> = poses.iter().filter(|row| row.is_measured()).collect();
     assert!(measured.len() > 20, "{} poses", measured.len());
-    for row in measured {
-        let truth =
-            truths.iter().find(|truth| (truth.frame, &truth.body) == (row.frame, &row.target));
-        let truth = truth.expect("each frame has its truth");
-        let off = (row.position - truth.position()).norm();
-        assert!(off < 0.1, "frame {} is off by {off:.3} m", row.frame);
-    }
+    measured.into_iter().for_each(|row| assert_is_true(row, truths));
+}
+
+/// A measured pose is where the truth of its frame has the body.
+pub(crate) fn assert_is_true(row: &PoseRow, truths: &[TruthRow]) {
+    let truth = truths.iter().find(|truth| (truth.frame, &truth.body) == (row.frame, &row.target));
+    let truth = truth.expect("each frame has its truth");
+    let off = (row.position - truth.position()).norm();
+    assert!(off < 0.1, "frame {} is off by {off:.3} m", row.frame);
 }
 
 #[test]
@@ -343,7 +340,7 @@ fn a_detector_that_somebody_else_wrote_takes_the_place_of_ours() {
     let arguments = ["--profile", "repeat", "--poses", poses.to_str().expect("a plain path")];
     let command =
         format!(r#"stages.detection.command=["{}"]"#, env!("CARGO_BIN_EXE_silent-detector"));
-    let set = small(&["simulator.frames=20", "stages.detection.replicas=2", &command]);
+    let set = small_flight(&["simulator.frames=20", "stages.detection.replicas=2", &command]);
     let tape = Tape::record("swapped", &arguments, &set);
     tape.assert_every_frame_ended_once(20);
     for end in &tape.ends {

@@ -6,7 +6,7 @@ use flockeye_contract::{FrameStamp, Rotation, RotationSource};
 use flockeye_convert::{camera_turn, rotation};
 use flockeye_tests::autopilot::{SimulatedAutopilot, YAW_DEG_S};
 use flockeye_tests::onlooker::Tape;
-use flockeye_tests::{Flight, SMALL_FLIGHT, Scratch, run};
+use flockeye_tests::{Flight, SMALL_FLIGHT, Scratch, run, small_flight, succeeds};
 use rustix::process::Signal;
 use serde_json::Value;
 
@@ -103,8 +103,7 @@ fn mounting_and_clock_are_calibrated_from_a_flight() {
     let mounted = "simulator.inertial.camera_from_sensor=[0, 0, 0.70710678, 0.70710678]";
     let set = set(&[mounted, "simulator.inertial.time_offset_ms=-120", "simulator.frames=90"]);
     let set: Vec<&str> = set.iter().flat_map(|assignment| ["--set", assignment]).collect();
-    let (succeeded, output) = run(&[&["calibrate", "imu", "--json"], &set[..]].concat());
-    assert!(succeeded, "{output}");
+    let output = succeeds(&[&["calibrate", "imu", "--json"], &set[..]].concat());
     let found: Value = serde_json::from_str(&output).expect("nothing but JSON");
     let number = |value: &Value| value.as_f64().unwrap_or_else(|| panic!("{value} in {found}"));
     assert!((number(&found["time_offset_ms"]) + 120.0).abs() < 4.0, "{found}");
@@ -120,8 +119,7 @@ fn mounting_and_clock_are_calibrated_from_a_flight() {
 
     // Of a sensor whose clock is right the same says how late the camera's frames arrive.
     let late = [&set[..], &["--set", "simulator.inertial.time_offset_ms=180"]].concat();
-    let (succeeded, output) = run(&[&["calibrate", "latency", "--json"], &late[..]].concat());
-    assert!(succeeded, "{output}");
+    let output = succeeds(&[&["calibrate", "latency", "--json"], &late[..]].concat());
     let found: Value = serde_json::from_str(&output).expect("nothing but JSON");
     assert!((number(&found["latency_ms"]) - 180.0).abs() < 4.0, "{found}");
     assert!(number(&found["error_turning_mm"]) > 0.0, "{found}");
@@ -137,8 +135,7 @@ fn samples_that_were_recorded_can_be_read_again() {
     let path = file.to_str().expect("a plain path");
     let set = set(&["simulator.frames=6"]);
     let mut flight = Flight::start("imu", &["--profile", "repeat", "--imu", path], &set);
-    assert!(flight.wait().success(), "{}", flight.output());
-    flight.assert_nothing_left();
+    flight.assert_ends_well();
     let rows: Vec<flockeye_tables::ImuRow> = flockeye_tables::read(&file).expect("they are read");
     assert!(rows.len() > 100, "{}", rows.len());
     assert!(rows.windows(2).all(|pair| ((pair[1].t_s - pair[0].t_s) * 200.0 - 1.0).abs() < 1e-3));
@@ -155,8 +152,7 @@ fn an_autopilot_is_heard_judged_and_missed() {
         UdpSocket::bind("127.0.0.1:0").expect("a port").local_addr().expect("its address");
     let source = format!("inertial.source=mavlink:udp:{address}");
     let yaw = format!("simulator.yaw_deg_s={YAW_DEG_S}");
-    let set: Vec<&str> =
-        SMALL_FLIGHT.iter().copied().chain([source.as_str(), yaw.as_str()]).collect();
+    let set = small_flight(&[source.as_str(), yaw.as_str()]);
     let mut flight = Flight::start("autopilot", &[], &set);
     flight.wait_for("no samples come. Cure: check the autopilot's stream rates");
     let autopilot = SimulatedAutopilot::start(address.to_string());
@@ -167,7 +163,5 @@ fn an_autopilot_is_heard_judged_and_missed() {
     flight.wait_for("the inertial sensor disagrees with the picture");
     drop(autopilot);
     flight.wait_for("samples have stopped");
-    flight.signal(Signal::INT);
-    assert!(flight.wait().success(), "{}", flight.output());
-    flight.assert_nothing_left();
+    flight.end_by(Signal::INT);
 }

@@ -8,29 +8,14 @@ use std::time::{Duration, Instant};
 use flockeye_contract::Tracks;
 use flockeye_runtime::clock;
 use flockeye_tests::onlooker::{join, subscribe};
-use flockeye_tests::{Flight, SMALL_FLIGHT, WATCHDOG, flockeye, run, unique};
+use flockeye_tests::{Flight, POSES_FLOW, SMALL_FLIGHT, WATCHDOG, ask, flockeye, run, unique};
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
-
-/// What is said of the neighbour once it is tracked.
-const POSES_FLOW: &str = "alpha confirmed";
 
 fn kept_flight(instance: &str) -> Flight {
     let mut flight = Flight::start_as(instance, &["--keep"], SMALL_FLIGHT);
     flight.wait_for(POSES_FLOW);
     flight
-}
-
-fn ask(instance: &str, arguments: &[&str]) -> (bool, String) {
-    let (command, rest) = arguments.split_first().expect("a command");
-    run(&[&[*command, "--instance", instance], rest].concat())
-}
-
-fn end(mut flight: Flight) {
-    let (succeeded, output) = ask(flight.instance.name(), &["stop"]);
-    assert!(succeeded && output.contains("the pipeline ends"), "{output}");
-    assert!(flight.wait().success(), "{}", flight.output());
-    flight.assert_nothing_left();
 }
 
 /// The process of each worker that has one.
@@ -105,7 +90,7 @@ fn stages_fly_on_without_their_launcher_and_the_next_one_takes_them_over() {
         let (succeeded, output) = ask(&instance, &["swap", worker, "--within", "60s"]);
         assert!(succeeded, "{output}\n{}", second.output());
     }
-    end(second);
+    second.stop();
 }
 
 #[test]
@@ -148,7 +133,7 @@ fn what_has_ended_without_a_launcher_is_started_again_by_the_next_one_and_the_st
     assert_eq!(of("detection")["command"][0], "nice", "{output}");
     assert_eq!(of("detection")["generation"], 2, "{output}");
     assert_eq!(of("simulator")["generation"], 1, "{output}");
-    end(second);
+    second.stop();
 }
 
 #[test]

@@ -4,13 +4,12 @@ use std::process::Command;
 use std::time::{Duration, Instant};
 
 use flockeye_runtime::instance::Instance;
-use flockeye_tests::{Flight, SMALL_FLIGHT, Scratch, WATCHDOG, flockeye, run, unique};
+use flockeye_tests::{Flight, SMALL_FLIGHT, Scratch, WATCHDOG, flockeye, run, succeeds, unique};
 use rustix::process::Signal;
 
 #[test]
 fn flockeye_has_the_commands_of_the_lab() {
-    let (is_well, said) = run(&["--help"]);
-    assert!(is_well, "{said}");
+    let said = succeeds(&["--help"]);
     for wanted in ["  up ", "(by flockeye-lab):", "  eval        Compare recorded poses"] {
         assert!(said.contains(wanted), "{wanted:?} is missing in:\n{said}");
     }

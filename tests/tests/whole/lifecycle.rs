@@ -10,11 +10,10 @@ use flockeye_runtime::clock;
 use flockeye_runtime::onlooker;
 use flockeye_runtime::ports::{Ports, Subscriber};
 use flockeye_tables::{PoseRow, TruthRow, read};
-use flockeye_tests::{Flight, SMALL_FLIGHT, Scratch, WATCHDOG, flockeye, run, unique};
+use flockeye_tests::{Flight, POSES_FLOW, SMALL_FLIGHT, Scratch, WATCHDOG, flockeye, run, unique};
 use rustix::process::{Pid, Signal, kill_process};
 
-/// What is said of the neighbour once it is tracked.
-const POSES_FLOW: &str = "alpha confirmed";
+use crate::foreign::assert_is_true;
 
 /// The small flight with one process of each stage, and some settings of a test's own.
 fn small<'a>(more: &[&'a str]) -> Vec<&'a str> {
@@ -121,13 +120,7 @@ fn poses_flow_and_nothing_is_left_afterwards() {
     let truths: Vec<TruthRow> = read(&truth).expect("the truth was recorded");
     let measured: Vec<_> = poses.iter().filter(|row| row.is_measured()).collect();
     assert!(!measured.is_empty(), "no pose in:\n{}", flight.output());
-    for row in measured {
-        let truth =
-            truths.iter().find(|truth| (truth.frame, &truth.body) == (row.frame, &row.target));
-        let truth = truth.expect("each frame has its truth");
-        let off = (row.position - truth.position()).norm();
-        assert!(off < 0.1, "frame {} is off by {off:.3} m", row.frame);
-    }
+    measured.into_iter().for_each(|row| assert_is_true(row, &truths));
     assert!(flight.stages("").is_empty());
     flight.assert_nothing_left();
 }
@@ -137,8 +130,7 @@ fn ctrl_c_stops_everything_at_once() {
     let scratch = Scratch::new("ctrlc");
     let poses = scratch.path("poses.csv");
     let arguments = ["--poses", poses.to_str().expect("plain")];
-    let mut flight = Flight::start("ctrlc", &arguments, &small(&[]));
-    flight.wait_for(POSES_FLOW);
+    let mut flight = Flight::with_poses("ctrlc", &arguments, &small(&[]));
     let asked = Instant::now();
     flight.signal(Signal::INT);
     let status = flight.wait();
@@ -155,8 +147,7 @@ fn ctrl_c_stops_everything_at_once() {
 
 #[test]
 fn a_killed_launcher_leaves_no_orphan_and_clean_removes_the_rest() {
-    let mut flight = Flight::start("killed", &[], &small(&[]));
-    flight.wait_for(POSES_FLOW);
+    let mut flight = Flight::with_poses("killed", &[], &small(&[]));
     assert!(!flight.stages("").is_empty());
     flight.signal(Signal::KILL);
     flight.wait();
@@ -177,15 +168,12 @@ fn a_killed_launchers_name_can_be_used_again() {
     wait_until_no_stage_runs(&first);
     let mut second = Flight::start_as(&name, &[], &small(&[]));
     second.wait_for(POSES_FLOW);
-    second.signal(Signal::TERM);
-    assert!(second.wait().success(), "{}", second.output());
-    second.assert_nothing_left();
+    second.end_by(Signal::TERM);
 }
 
 /// Kills a stage in flight, and waits for its successor and for poses of frames after it.
 fn survives_the_death_of(stage: &str, name: &str) {
-    let mut flight = Flight::start(name, &[], &small(&[]));
-    flight.wait_for(POSES_FLOW);
+    let mut flight = Flight::with_poses(name, &[], &small(&[]));
     let program = format!("flockeye-{stage}");
     let first = process_of(&flight, &program);
     let mut onlooker = Onlooker::of(&flight);
@@ -201,9 +189,7 @@ fn survives_the_death_of(stage: &str, name: &str) {
         header.stamp.published_ns > replaced_ns && track.measured_by != MeasuredBy::Nothing.code()
     });
     drop(onlooker);
-    flight.signal(Signal::INT);
-    assert!(flight.wait().success(), "{}", flight.output());
-    flight.assert_nothing_left();
+    flight.end_by(Signal::INT);
 }
 
 #[test]
@@ -214,8 +200,7 @@ fn detection_that_is_killed_is_replaced_and_poses_flow_again() {
 #[test]
 fn a_second_worker_goes_on_while_the_first_one_stays_away() {
     let set = ["stages.detection.replicas=2", "stages.detection.backoff_s=[100, 100]"];
-    let mut flight = Flight::start("workers", &[], &small(&set));
-    flight.wait_for(POSES_FLOW);
+    let mut flight = Flight::with_poses("workers", &[], &small(&set));
     let mut onlooker = Onlooker::of(&flight);
     let workers = flight.stages("flockeye-detection");
     assert_eq!(workers.len(), 2);
@@ -226,9 +211,7 @@ fn a_second_worker_goes_on_while_the_first_one_stays_away() {
         header.stamp.published_ns > killed_ns && track.measured_by != MeasuredBy::Nothing.code()
     });
     drop(onlooker);
-    flight.signal(Signal::INT);
-    assert!(flight.wait().success(), "{}", flight.output());
-    flight.assert_nothing_left();
+    flight.end_by(Signal::INT);
 }
 
 #[test]
@@ -243,9 +226,9 @@ fn fusion_that_is_killed_is_replaced_and_poses_flow_again() {
 
 #[test]
 fn fusion_that_is_killed_goes_on_with_its_tracks() {
-    // Tests beside this one take the processor at times: the track has to be known when fusion is back.
-    let mut flight = Flight::start("succession", &[], &small(&["fusion.coast_s=30"]));
-    flight.wait_for(POSES_FLOW);
+    // Tests beside this one take the processor at times: the track has to be known when fusion is
+    // back.
+    let mut flight = Flight::with_poses("succession", &[], &small(&["fusion.coast_s=30"]));
     let mut onlooker = Onlooker::of(&flight);
     let mut tracked = Vec::new();
     onlooker.wait_for_track(&flight, |_, track| {
@@ -264,9 +247,7 @@ fn fusion_that_is_killed_goes_on_with_its_tracks() {
     let [before, after] = tracked[..] else { panic!("{tracked:?}") };
     assert_eq!(after.track_id, before.track_id);
     assert!(after.age_ns > before.age_ns, "{} ns", after.age_ns);
-    flight.signal(Signal::INT);
-    assert!(flight.wait().success(), "{}", flight.output());
-    flight.assert_nothing_left();
+    flight.end_by(Signal::INT);
 }
 
 #[test]
@@ -284,8 +265,7 @@ fn a_lossless_flight_comes_to_its_end_although_stages_die() {
             .expect("it can be killed");
         flight.wait_for(&format!("{stage} is started again"));
     }
-    assert!(flight.wait().success(), "{}", flight.output());
-    flight.assert_nothing_left();
+    flight.assert_ends_well();
 }
 
 #[test]
@@ -304,9 +284,7 @@ fn a_second_pipeline_of_the_same_name_is_refused_and_told_who_has_it() {
     let refused_ns = clock::monotonic_ns();
     onlooker.wait_for_track(&first, |header, _| header.stamp.published_ns > refused_ns);
     drop(onlooker);
-    first.signal(Signal::INT);
-    assert!(first.wait().success(), "{}", first.output());
-    first.assert_nothing_left();
+    first.end_by(Signal::INT);
 }
 
 #[test]
@@ -367,9 +345,7 @@ fn a_foreign_stage_that_crashes_is_tried_again_and_again_while_the_rest_flies() 
         flight.wait_for(&format!("gateway ended with status 7; it is started again in {wait} s"));
     }
     flight.wait_for(POSES_FLOW);
-    flight.signal(Signal::INT);
-    assert!(flight.wait().success(), "{}", flight.output());
-    flight.assert_nothing_left();
+    flight.end_by(Signal::INT);
 }
 
 #[test]
@@ -380,23 +356,18 @@ fn two_instances_fly_side_by_side() {
         flight.wait_for(POSES_FLOW);
     }
     let [left, right] = &mut flights;
-    left.signal(Signal::INT);
-    assert!(left.wait().success(), "{}", left.output());
-    left.assert_nothing_left();
+    left.end_by(Signal::INT);
     // The end of one is nothing to the other.
     let mut onlooker = Onlooker::of(right);
     let left_ended_ns = clock::monotonic_ns();
     onlooker.wait_for_track(right, |header, _| header.stamp.published_ns > left_ended_ns);
     drop(onlooker);
-    right.signal(Signal::INT);
-    assert!(right.wait().success(), "{}", right.output());
-    right.assert_nothing_left();
+    right.end_by(Signal::INT);
 }
 
 #[test]
 fn clean_leaves_a_running_pipeline_alone() {
-    let mut flight = Flight::start("clean", &[], &small(&[]));
-    flight.wait_for(POSES_FLOW);
+    let mut flight = Flight::with_poses("clean", &[], &small(&[]));
     let (succeeded, output) = run(&["clean", "--instance", flight.instance.name()]);
     let wanted = format!(
         "{}: running (process {}), left alone",
@@ -408,9 +379,7 @@ fn clean_leaves_a_running_pipeline_alone() {
     let cleaned_ns = clock::monotonic_ns();
     onlooker.wait_for_track(&flight, |header, _| header.stamp.published_ns > cleaned_ns);
     drop(onlooker);
-    flight.signal(Signal::INT);
-    assert!(flight.wait().success(), "{}", flight.output());
-    flight.assert_nothing_left();
+    flight.end_by(Signal::INT);
 }
 
 #[test]
@@ -469,9 +438,7 @@ fn peers_see_poses_over_the_network() {
     let exposure_ns = heard["exposure_monotonic_ns"].as_i64().expect("a time");
     let arrived_ns = heard["arrived_monotonic_ns"].as_i64().expect("a time");
     assert!((0..10_000_000_000).contains(&(arrived_ns - exposure_ns)), "{heard}");
-    flight.signal(Signal::INT);
-    assert!(flight.wait().success(), "{}", flight.output());
-    flight.assert_nothing_left();
+    flight.end_by(Signal::INT);
 }
 
 #[test]
@@ -481,7 +448,5 @@ fn a_gateway_without_its_port_holds_nobody_up() {
     let mut flight = Flight::start("taken", &[], &small(&["gateway.enabled=true", &listen]));
     flight.wait_for(&format!("nothing goes over the network yet: cannot listen on {endpoint}"));
     flight.wait_for(POSES_FLOW);
-    flight.signal(Signal::INT);
-    assert!(flight.wait().success(), "{}", flight.output());
-    flight.assert_nothing_left();
+    flight.end_by(Signal::INT);
 }

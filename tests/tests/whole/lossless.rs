@@ -7,7 +7,7 @@ use std::path::Path;
 use flockeye_contract::{FrameStamp, MeasuredBy, StageLatency, Track, TrackHeader};
 use flockeye_tables::PoseRow;
 use flockeye_tests::onlooker::Tape;
-use flockeye_tests::{SMALL_FLIGHT, Scratch, VULKAN, absent, flockeye, run, unique};
+use flockeye_tests::{SMALL_FLIGHT, Scratch, VULKAN, absent, flockeye, succeeds, unique};
 use nalgebra::Vector3;
 
 const FRAMES: u64 = 40;
@@ -124,7 +124,8 @@ fn an_exhaustive_search_does_not_depend_on_who_answers_first() {
     assert_same(&fly("exhaustive", 1), &fly("exhaustive", 3), "with three workers");
 }
 
-/// Fusion sleeps for 80 of each 100 ms for some seconds: whoever is slow makes the others wait, and loses nothing.
+/// Fusion sleeps for 80 of each 100 ms for some seconds: whoever is slow makes the others wait, and
+/// loses nothing.
 #[test]
 fn who_sleeps_now_and_then_misses_nothing() {
     let fusion = flockeye().with_file_name("flockeye-fusion");
@@ -160,8 +161,7 @@ fn measured(profile: &str) -> BTreeMap<(u64, String), (Vector3<f64>, f64)> {
     for set in SMALL_FLIGHT.iter().chain(&own) {
         arguments.extend(["--set", set]);
     }
-    let (is_good, output) = run(&arguments);
-    assert!(is_good, "{output}");
+    succeeds(&arguments);
     let rows: Vec<PoseRow> = flockeye_tables::read(&poses).expect("poses");
     let measured = rows.into_iter().filter_map(|row| {
         let measured = row.measured?;
@@ -172,9 +172,9 @@ fn measured(profile: &str) -> BTreeMap<(u64, String), (Vector3<f64>, f64)> {
     measured.collect()
 }
 
-/// The profile decides which passes run, and not what a frame says: whatever both flights measured is the same
-/// but for where alignment started from, and the path along which its track expects it to be blurred. Bodies are
-/// as small here as at 2 m in frames of 3840x1920.
+/// The profile decides which passes run, and not what a frame says: whatever both flights measured
+/// is the same but for where alignment started from, and the path along which its track expects it
+/// to be blurred. Bodies are as small here as at 2 m in frames of 3840x1920.
 #[test]
 fn flight_by_the_clock_by_stated_costs_and_without_limit_gives_the_same_poses() {
     let unlimited = measured("unlimited");
@@ -193,7 +193,8 @@ fn flight_by_the_clock_by_stated_costs_and_without_limit_gives_the_same_poses() 
             both.iter().map(|(apart_m, deviation_m)| apart_m / deviation_m).collect();
         errors.sort_by(f64::total_cmp);
         let (most, worst) = (errors[errors.len() * 95 / 100], errors[errors.len() - 1]);
-        // Independent measurements would lie within sqrt(chi2_3 / 3) = 1.6 in 95 %. These share their pixels.
+        // Independent measurements would lie within sqrt(chi2_3 / 3) = 1.6 in 95 %. These share
+        // their pixels.
         let said =
             format!("{profile}: {most} deviations in 95 %, {worst} at worst, of {}", errors.len());
         assert!(most < 1.6 && worst < 3.0, "{said}");

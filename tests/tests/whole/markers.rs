@@ -1,16 +1,16 @@
-//! Printed sheets hold every marker, upright, at its true size: drawn by somebody else's renderer and
-//! read by the detector.
+//! Printed sheets hold every marker, upright, at its true size: drawn by somebody else's renderer
+//! and read by the detector.
 
 use std::path::Path;
 
 use flockeye_contract::{Search, ViewKind};
 use flockeye_detection::windows::thresholds;
-use flockeye_detection::{DarkerBy, Detector, DetectorParameters, Found, Threshold};
+use flockeye_detection::{DarkerBy, Detector, DetectorParameters, MarkerInView, Threshold};
 use flockeye_geometry::view::View;
 use flockeye_imaging::image::LumaImage;
 use flockeye_imaging::light::{CodeRange, LinearLight, TransferCurve};
 use flockeye_rectification::PROPOSAL_WINDOWS;
-use flockeye_tests::{Scratch, run};
+use flockeye_tests::{Scratch, run, succeeds};
 use gstreamer as gst;
 use gstreamer::prelude::*;
 use nalgebra::Vector3;
@@ -40,8 +40,8 @@ fn drawn(svg: &Path, png: &Path) -> (Vec<u8>, usize) {
     (pixels, info.width as usize)
 }
 
-/// The drawing as a lens would show it, blurred by a pixel. A renderer's codes at edges are shares of
-/// white: light, not sRGB.
+/// The drawing as a lens would show it, blurred by a pixel. A renderer's codes at edges are shares
+/// of white: light, not sRGB.
 fn blurred(pixels: &[u8], width: usize) -> Vec<u8> {
     let along = |light: &[f64], step: usize| -> Vec<f64> {
         let at = |k: usize, by: isize| {
@@ -59,7 +59,7 @@ fn blurred(pixels: &[u8], width: usize) -> Vec<u8> {
 }
 
 /// Every marker on a sheet.
-fn read(pixels: &[u8], width: usize, dictionary: &str) -> Vec<Found> {
+fn read(pixels: &[u8], width: usize, dictionary: &str) -> Vec<MarkerInView> {
     let pixels = &blurred(pixels, width);
     let image = LumaImage::new(pixels, width, pixels.len() / width, width).expect("rows");
     let view = View::looking_at(&Vector3::x_axis(), 1.0, width as u32);
@@ -79,7 +79,7 @@ fn printed(preset: &str, dictionary: &str, paper: &str, width_mm: f64) -> (usize
     let out = scratch.path("body.svg");
     let preset = format!("bodies.list=[{preset}]");
     let dictionary_set = format!("bodies.dictionary={dictionary}");
-    let (succeeded, output) = run(&[
+    let output = succeeds(&[
         "markers",
         "--body",
         "alpha",
@@ -92,7 +92,6 @@ fn printed(preset: &str, dictionary: &str, paper: &str, width_mm: f64) -> (usize
         "--set",
         &dictionary_set,
     ]);
-    assert!(succeeded, "{output}");
     let sheets: Vec<&str> = output.lines().filter(|line| line.ends_with(".svg")).collect();
     let mut found = Vec::new();
     for sheet in &sheets {
@@ -155,9 +154,7 @@ fn the_flown_body_is_printed_with_its_small_markers() {
 fn a_pdf_has_the_same_sheets() {
     let scratch = Scratch::new("pdf");
     let out = scratch.path("body.pdf");
-    let (succeeded, output) =
-        run(&["markers", "--body", "bravo", "--out", out.to_str().expect("a text")]);
-    assert!(succeeded, "{output}");
+    succeeds(&["markers", "--body", "bravo", "--out", out.to_str().expect("a text")]);
     let text = String::from_utf8(std::fs::read(&out).expect("it was written")).expect("no streams");
     // Every object is where the table of objects says.
     let (body, table) = text.rsplit_once("xref\n0 ").expect("a table");

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use flockeye_contract::{Detections, MeasuredBy, Track, Tracks, Truths};
 use flockeye_tests::onlooker::{join, subscribe};
-use flockeye_tests::{Flight, SMALL_FLIGHT, Scratch, WATCHDOG, flockeye, run};
+use flockeye_tests::{Flight, SMALL_FLIGHT, Scratch, WATCHDOG, flockeye, run, succeeds};
 use nalgebra::Vector3;
 use serde_json::Value;
 
@@ -28,9 +28,8 @@ const EXAMPLES: [(&str, &[(&str, &str)]); 3] = [
 /// Writes a new stage, and returns its folder and what was said of it.
 fn write(scratch: &Scratch, kind: &str, lang: &str) -> (PathBuf, String) {
     let folder = scratch.path(&format!("{kind}-{lang}"));
-    let (succeeded, output) =
-        run(&["stage", "new", kind, "--lang", lang, folder.to_str().expect("a plain path")]);
-    assert!(succeeded, "{output}");
+    let output =
+        succeeds(&["stage", "new", kind, "--lang", lang, folder.to_str().expect("a plain path")]);
     (folder, output)
 }
 
@@ -41,10 +40,10 @@ fn assert_keeps_the_contract(kind: &str, program: &str) {
     assert!(succeeded, "{kind} by {program}: {output}");
 }
 
-/// Flies, and swaps in a detector for both of ours. Sees that it finds markers, and that poses follow.
+/// Flies, and swaps in a detector for both of ours. Sees that it finds markers, and that poses
+/// follow.
 fn assert_takes_over(name: &str, detector: &str) {
-    let mut flight = Flight::start(name, &[], SMALL_FLIGHT);
-    flight.wait_for("alpha confirmed");
+    let mut flight = Flight::with_poses(name, &[], SMALL_FLIGHT);
     let instance = flight.instance.name().to_owned();
     for worker in ["detection", "detection.1"] {
         let swap = ["swap", worker, "--instance", &instance, "--within", "60s", "--accept-worse"];
@@ -82,10 +81,8 @@ fn assert_takes_over(name: &str, detector: &str) {
         std::thread::sleep(Duration::from_millis(5));
     }
     drop((detections, tracks, truths, ports));
-    let (succeeded, output) = run(&["stop", "--instance", &instance]);
-    assert!(succeeded, "{output}");
-    assert!(flight.wait().success(), "{}", flight.output());
-    flight.assert_nothing_left();
+    succeeds(&["stop", "--instance", &instance]);
+    flight.assert_ends_well();
 }
 
 #[test]
@@ -177,8 +174,8 @@ fn package<'a>(metadata: &'a Value, name: &str) -> &'a Value {
     packages.iter().find(|package| package["name"] == name).expect("it is one of them")
 }
 
-/// A stage whose manifest lacks a dependency or a feature would not build outside of the workspace. Its text was built
-/// with these tests.
+/// A stage whose manifest lacks a dependency or a feature would not build outside of the workspace.
+/// Its text was built with these tests.
 #[test]
 fn a_new_stage_in_rust_depends_on_all_that_its_example_depends_on() {
     let scratch = Scratch::new("stage-new-rust");

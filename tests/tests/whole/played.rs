@@ -1,15 +1,15 @@
-//! Recordings of flights are played: their frames come as they did, and the stages say what they said.
+//! Recordings of flights are played: their frames come as they did, and the stages say what they
+//! said.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::{Duration, Instant};
 
 use flockeye_contract::{FrameEnds, FrameHeader, FrameStamp, ImuSample, Rotation, RotationSource};
-use flockeye_recording::Reader;
+use flockeye_recording::ContractMessage;
+use flockeye_recording::RecordingReader;
 use flockeye_recording::channel::FRAME_IMAGES;
 use flockeye_recording::images::decode_compressed;
-use flockeye_recording::message::decode;
-use flockeye_recording::{ContractMessage, layouts};
 use flockeye_tables::{PoseRow, read};
 use flockeye_tests::{Flight, SMALL_FLIGHT, Scratch, WATCHDOG, onlooker, run};
 use gstreamer as gst;
@@ -18,6 +18,7 @@ use serde_json::Value;
 
 use crate::bad_input::make;
 use crate::python::python;
+use crate::recording;
 
 /// An observer in gusts with an inertial sensor.
 const GUSTS: &[&str] = &[
@@ -56,32 +57,18 @@ fn fly(name: &str, folder: &Path, arguments: &[&str], set: &[&str]) -> (PathBuf,
     (only_file(folder), said)
 }
 
-/// The messages of a topic in a recording.
-fn messages(path: &Path, service: &str) -> Vec<ContractMessage> {
-    let layout = layouts().into_iter().find(|layout| layout.service == service);
-    let layout = layout.expect("there is this topic");
-    let mut reader = Reader::open(path).unwrap_or_else(|error| panic!("{error}"));
-    let mut found = Vec::new();
-    while let Some(message) = reader.next_message().unwrap_or_else(|error| panic!("{error}")) {
-        if message.channel.topic == layout.channel() {
-            found.push(decode(&layout, &message.bytes).expect("it is as it was recorded"));
-        }
-    }
-    found
-}
-
 /// The headers of frames, without what differs from run to run.
 fn frames(path: &Path) -> Vec<FrameHeader> {
     let timeless = |message: &ContractMessage| {
         let header: FrameHeader = bytemuck::pod_read_unaligned(&message.header);
         FrameHeader { stamp: FrameStamp { published_ns: 0, ..header.stamp }, ..header }
     };
-    messages(path, "flockeye/frame").iter().map(timeless).collect()
+    recording::read(path, "flockeye/frame").0.iter().map(timeless).collect()
 }
 
 /// The JPEGs of a recording.
 fn pictures(path: &Path) -> Vec<Vec<u8>> {
-    let mut reader = Reader::open(path).unwrap_or_else(|error| panic!("{error}"));
+    let mut reader = RecordingReader::open(path).unwrap_or_else(|error| panic!("{error}"));
     let mut found = Vec::new();
     while let Some(message) = reader.next_message().unwrap_or_else(|error| panic!("{error}")) {
         if message.channel.topic == FRAME_IMAGES {
@@ -102,7 +89,7 @@ fn samples(path: &Path) -> Vec<[u64; 7]> {
         let items = message.items.chunks_exact(size_of::<ImuSample>());
         items.map(|bytes| of(bytemuck::pod_read_unaligned(bytes))).collect::<Vec<_>>()
     };
-    messages(path, "flockeye/imu").iter().flat_map(items).collect()
+    recording::read(path, "flockeye/imu").0.iter().flat_map(items).collect()
 }
 
 /// Frames with a rotation that the inertial sensor has a part in.
@@ -111,11 +98,11 @@ fn with_inertial(path: &Path) -> usize {
     let is_both = |message: &&ContractMessage| {
         bytemuck::pod_read_unaligned::<Rotation>(&message.header).source == both
     };
-    messages(path, "flockeye/rotation").iter().filter(is_both).count()
+    recording::read(path, "flockeye/rotation").0.iter().filter(is_both).count()
 }
 
-/// A simulated flight with an inertial sensor is recorded with all its frames, and played: stamps and samples are the
-/// same bit by bit, and poses differ by no more than the noise of JPEG.
+/// A simulated flight with an inertial sensor is recorded with all its frames, and played: stamps
+/// and samples are the same bit by bit, and poses differ by no more than the noise of JPEG.
 #[test]
 fn a_recorded_flight_is_flown_again() {
     let scratch = Scratch::new("played");
@@ -164,8 +151,7 @@ fn a_recorded_flight_is_flown_again() {
 
     // In real time, over and over.
     let looping = [&played[..], &["source.at_end=loop", "fusion.coding=images"]].concat();
-    let mut flight = Flight::start("replayed-rt", &["--source", text(&recording)], &looping);
-    flight.wait_for("alpha confirmed");
+    let mut flight = Flight::with_poses("replayed-rt", &["--source", text(&recording)], &looping);
     std::thread::sleep(Duration::from_secs(3));
     flight.signal(Signal::INT);
     assert!(flight.wait().success(), "{}", flight.output());
@@ -185,8 +171,8 @@ fn a_recorded_flight_is_flown_again() {
     assert!(said.contains("set camera.width to 2048 and camera.height to 1024"), "{said}");
 }
 
-/// A video's own packets are recorded, and give the same pixels when they are played: the recorder's JPEGs of both
-/// are the same bytes.
+/// A video's own packets are recorded, and give the same pixels when they are played: the
+/// recorder's JPEGs of both are the same bytes.
 #[test]
 fn a_videos_own_packets_give_the_same_pixels() {
     gst::init().expect("GStreamer is installed");
@@ -247,7 +233,8 @@ fn wait_for_frames(flight: &mut Flight) {
     }
 }
 
-/// A recorder that joins in flight begins with a key frame; where there is no video, it says what to do.
+/// A recorder that joins in flight begins with a key frame; where there is no video, it says what
+/// to do.
 #[test]
 fn a_camera_without_video_is_refused_and_one_with_it_is_joined_in_flight() {
     gst::init().expect("GStreamer is installed");
@@ -263,9 +250,7 @@ fn a_camera_without_video_is_refused_and_one_with_it_is_joined_in_flight() {
         let arguments =
             ["record", text(&out), "--frames", "camera", "--for", "3s", "--instance", &name];
         let (is_well, said) = run(&arguments);
-        flight.signal(Signal::INT);
-        assert!(flight.wait().success(), "{}", flight.output());
-        flight.assert_nothing_left();
+        flight.end_by(Signal::INT);
         (is_well, said, out)
     };
     let (is_well, said, out) = ended("sim-packets", "sim", SMALL_FLIGHT);

@@ -7,12 +7,11 @@ use std::time::{Duration, Instant};
 
 use flockeye_contract::{Detections, FrameEnds, MeasuredBy, Topic, Tracks, Truths};
 use flockeye_tests::onlooker::{Tape, join, subscribe};
-use flockeye_tests::{Flight, SMALL_FLIGHT, WATCHDOG, flockeye, run, unique};
+use flockeye_tests::{
+    Flight, SMALL_FLIGHT, WATCHDOG, flockeye, run, small_flight, succeeds, unique,
+};
 use nalgebra::Vector3;
 use rustix::process::Signal;
-
-/// What is said of the neighbour once it is tracked.
-const POSES_FLOW: &str = "alpha confirmed";
 
 /// Python with the package and what the examples need: `make python` makes it.
 pub(crate) fn python() -> Option<PathBuf> {
@@ -31,9 +30,7 @@ pub(crate) fn example(name: &str) -> String {
 }
 
 fn fly(name: &str) -> Flight {
-    let mut flight = Flight::start(name, &[], SMALL_FLIGHT);
-    flight.wait_for(POSES_FLOW);
-    flight
+    Flight::with_poses(name, &[], SMALL_FLIGHT)
 }
 
 /// Swaps a stage for an example, and fails unless it takes over.
@@ -76,8 +73,7 @@ fn wait_for<T: Topic + 'static>(
 }
 
 fn end(mut flight: Flight) {
-    let (succeeded, output) = run(&["stop", "--instance", flight.instance.name()]);
-    assert!(succeeded, "{output}");
+    succeeds(&["stop", "--instance", flight.instance.name()]);
     assert!(flight.wait().success(), "{}", flight.output());
     assert!(!flight.output().contains("Traceback"), "{}", flight.output());
     flight.assert_nothing_left();
@@ -150,8 +146,7 @@ fn a_lossless_flight_with_a_detector_in_python_ends_every_frame_once() {
         python.display(),
         example("detector.py")
     );
-    let set: Vec<&str> =
-        SMALL_FLIGHT.iter().copied().chain(["simulator.frames=20", &command]).collect();
+    let set = small_flight(&["simulator.frames=20", &command]);
     let tape = Tape::record("py-lossless", &["--profile", "repeat"], &set);
     tape.assert_every_frame_ended_once(20);
     let measured = |tracks: &[flockeye_contract::Track]| {
@@ -167,7 +162,7 @@ fn the_examples_keep_the_contract() {
     for (kind, file) in
         [("detection", "detector.py"), ("rectification", "rectifier.py"), ("fusion", "bearings.py")]
     {
-        let (succeeded, output) = run(&[
+        succeeds(&[
             "stage",
             "test",
             kind,
@@ -179,7 +174,6 @@ fn the_examples_keep_the_contract() {
             &python,
             &example(file),
         ]);
-        assert!(succeeded, "{output}");
     }
 }
 
@@ -203,8 +197,7 @@ fn the_tool_that_looks_on_prints_neighbours_and_ends_with_the_pipeline() {
     command.arg(example("tracks.py")).arg(flight.instance.folder());
     let mut tool = Flight::launch("py-tracks-tool", command);
     tool.wait_for("alpha confirmed at ");
-    let (succeeded, output) = run(&["stop", "--instance", flight.instance.name()]);
-    assert!(succeeded, "{output}");
+    succeeds(&["stop", "--instance", flight.instance.name()]);
     assert!(flight.wait().success(), "{}", flight.output());
     assert!(tool.wait().success(), "{}", tool.output());
     flight.assert_nothing_left();
@@ -222,8 +215,7 @@ fn a_peer_in_python_hears_where_the_neighbour_is() {
         (format!("gateway.listen=[\"{endpoint}\"]"), format!("observer.swarm={swarm}"));
     let mut settings = SMALL_FLIGHT.to_vec();
     settings.extend(["gateway.enabled=true", &listen, &name]);
-    let mut flight = Flight::start("peerpy", &[], &settings);
-    flight.wait_for(POSES_FLOW);
+    let mut flight = Flight::with_poses("peerpy", &[], &settings);
     let mut command = Command::new(&python);
     command.arg(example("peers.py")).args([&endpoint, &swarm]);
     let mut peer = Flight::launch(&unique("peerpy"), command);
@@ -235,9 +227,7 @@ fn a_peer_in_python_hears_where_the_neighbour_is() {
         Command::new(&python).args(["-c", REFUSED_IN_PYTHON]).output().expect("Python runs");
     let said = String::from_utf8_lossy(&refused.stderr).into_owned();
     assert!(refused.status.success(), "{said}");
-    flight.signal(Signal::INT);
-    assert!(flight.wait().success(), "{}", flight.output());
-    flight.assert_nothing_left();
+    flight.end_by(Signal::INT);
 }
 
 const REFUSED_IN_PYTHON: &str = r#"

@@ -6,9 +6,10 @@ use flockeye_tests::air::{Air, Weather};
 use flockeye_tests::drone::{
     Drone, Links, PERIOD_MS, cut, end, endpoint, name, pair, start, wait_until,
 };
-use flockeye_tests::{Beside, Flight, flockeye, run, unique};
+use flockeye_tests::{Beside, Flight, flockeye, succeeds, unique};
 
-/// A machine that does other things takes longer than what a drone may take. It is printed how long it took.
+/// A machine that does other things takes longer than what a drone may take. It is printed how long
+/// it took.
 const SLOW: u32 = 3;
 
 /// Eight drones hear each other soon, notice who leaves, and hear it soon when it is back.
@@ -61,16 +62,15 @@ fn eight_drones_find_each_other_through_a_router() {
     eight_find_each_other(&air, Links::Router(8));
 }
 
-/// The drones have said where their neighbours are, and say no more: what is heard is the last pose.
+/// The drones have said where their neighbours are, and say no more: what is heard is the last
+/// pose.
 #[test]
 fn who_joins_late_has_the_last_pose_soon() {
     let Some(air) = Air::between(3) else { return };
     let swarm = unique("late");
     let drones = pair(&air, &swarm);
     for drone in &drones {
-        let (succeeded, output) =
-            run(&["stop", "fusion", "--instance", drone.flight.instance.name()]);
-        assert!(succeeded, "{output}");
+        succeeds(&["stop", "fusion", "--instance", drone.flight.instance.name()]);
     }
     let mut join = air.at(2, &flockeye());
     join.args(["peers", "--json", "--connect", &endpoint(0)]);

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use flockeye_contract::{Healths, TrackState, Tracks};
 use flockeye_tables::{PoseRow, read};
 use flockeye_tests::onlooker::{join, subscribe};
-use flockeye_tests::{Flight, SMALL_FLIGHT, Scratch, WATCHDOG};
+use flockeye_tests::{Flight, Scratch, WATCHDOG, small_flight};
 use rustix::process::Signal;
 
 /// The longest time without a word on a neighbour who was found. It is a second on a machine of
@@ -18,8 +18,7 @@ const LONGEST_SILENCE_NS: i64 = 3_000_000_000;
 fn poses_flow_the_whole_time_and_memory_does_not_grow() {
     let seconds = std::env::var("FLOCKEYE_SOAK_S")
         .map_or(20, |text| text.parse::<u64>().expect("FLOCKEYE_SOAK_S is a number of seconds"));
-    let mut flight = Flight::start("soak", &[], &["gateway.enabled=false"]);
-    flight.wait_for("alpha confirmed");
+    let mut flight = Flight::with_poses("soak", &[], &["gateway.enabled=false"]);
     let mut ports = join(&mut flight);
     let mut tracks = subscribe::<Tracks>(&mut flight, &mut ports);
     let mut healths = subscribe::<Healths>(&mut flight, &mut ports);
@@ -85,15 +84,15 @@ fn poses_flow_the_whole_time_and_memory_does_not_grow() {
     flight.assert_nothing_left();
 }
 
-/// Two frames at once, a sixth of a second without any, a clock that jumps back by three seconds and
-/// ahead by forty: each costs its own frames at most.
+/// Two frames at once, a sixth of a second without any, a clock that jumps back by three seconds
+/// and ahead by forty: each costs its own frames at most.
 #[test]
 fn a_camera_that_keeps_no_time_is_followed() {
     let scratch = Scratch::new("erratic");
     let poses = scratch.path("poses.csv");
     let command =
         format!(r#"stages.simulator.command=["{}"]"#, env!("CARGO_BIN_EXE_erratic-camera"));
-    let set: Vec<&str> = SMALL_FLIGHT.iter().copied().chain([command.as_str()]).collect();
+    let set = small_flight(&[command.as_str()]);
     let arguments = ["--poses", poses.to_str().expect("a plain path")];
     let mut flight = Flight::start("erratic", &arguments, &set);
     assert!(flight.wait_for_end(WATCHDOG).success(), "{}", flight.output());

@@ -1,5 +1,5 @@
-//! Recordings of running pipelines: what is in them, who reads them, and what becomes of them when the recorder is
-//! killed or the disk is full.
+//! Recordings of running pipelines: what is in them, who reads them, and what becomes of them when
+//! the recorder is killed or the disk is full.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -8,10 +8,14 @@ use std::time::{Duration, Instant};
 use flockeye_contract::{DetectionHeader, FrameEnds, Track, TrackState, Tracks};
 use flockeye_recording::file::RecordingFile;
 use flockeye_recording::message::{decode, encode};
-use flockeye_recording::{ContractMessage, Ending, Reader, RecordingWriter, TopicLayout, layouts};
+use flockeye_recording::{
+    ContractMessage, Ending, RecordingReader, RecordingWriter, TopicLayout, layouts,
+};
 use flockeye_runtime::recorders;
 use flockeye_tests::onlooker::{self, Gated};
-use flockeye_tests::{Flight, SMALL_FLIGHT, Scratch, WATCHDOG, flockeye, run, unique};
+use flockeye_tests::{
+    Flight, SMALL_FLIGHT, Scratch, WATCHDOG, flockeye, run, small_flight, succeeds, unique,
+};
 use rustix::process::{Signal, getpgid, kill_process};
 use serde_json::Value;
 
@@ -45,7 +49,7 @@ pub(crate) fn layout(service: &str) -> TopicLayout {
 /// The messages of a topic, and how the recording ends.
 pub(crate) fn read(path: &Path, service: &str) -> (Vec<ContractMessage>, Ending) {
     let layout = layout(service);
-    let mut reader = Reader::open(path).unwrap_or_else(|error| panic!("{error}"));
+    let mut reader = RecordingReader::open(path).unwrap_or_else(|error| panic!("{error}"));
     let mut found = Vec::new();
     while let Some(message) = reader.next_message().unwrap_or_else(|error| panic!("{error}")) {
         if message.channel.topic == layout.channel() {
@@ -59,13 +63,13 @@ pub(crate) fn text(path: &Path) -> &str {
     path.to_str().expect("a plain path")
 }
 
-/// Every frame of a lossless flight is in the recording, bit by bit as an onlooker sees it, and other people's tools
-/// read the same poses as `--poses` writes.
+/// Every frame of a lossless flight is in the recording, bit by bit as an onlooker sees it, and
+/// other people's tools read the same poses as `--poses` writes.
 #[test]
 fn every_frame_is_recorded_and_other_peoples_tools_read_it() {
     let scratch = Scratch::new("recorded");
     let (out, poses) = (scratch.path("flight.mcap"), scratch.path("poses.csv"));
-    let set: Vec<&str> = SMALL_FLIGHT.iter().copied().chain(["simulator.frames=40"]).collect();
+    let set = small_flight(&["simulator.frames=40"]);
     let arguments = ["--profile", "repeat", "--poses", text(&poses)];
     let mut gated = Gated::start("recorded", &scratch, &arguments, &set);
     let mut recorder = recorder(&mut gated.flight, &[text(&out), "--frames", "every 10"]);
@@ -121,12 +125,13 @@ fn every_frame_is_recorded_and_other_peoples_tools_read_it() {
     }
 }
 
-/// Fusion alone, given what it got, says what it said, byte by byte; given something else, it says where it differs.
+/// Fusion alone, given what it got, says what it said, byte by byte; given something else, it says
+/// where it differs.
 #[test]
 fn a_replayed_fusion_says_the_same() {
     let scratch = Scratch::new("replayed");
     let out = scratch.path("flight.mcap");
-    let set: Vec<&str> = SMALL_FLIGHT.iter().copied().chain(["simulator.frames=25"]).collect();
+    let set = small_flight(&["simulator.frames=25"]);
     let mut gated = Gated::start("replayed", &scratch, &["--profile", "repeat"], &set);
     let mut recorder = recorder(&mut gated.flight, &[text(&out), "--frames", "views"]);
     gated.open();
@@ -170,7 +175,7 @@ fn a_replayed_fusion_says_the_same() {
 fn a_recording_that_was_split_is_replayed_to_its_end() {
     let scratch = Scratch::new("split");
     let out = scratch.path("flight.mcap");
-    let set: Vec<&str> = SMALL_FLIGHT.iter().copied().chain(["simulator.frames=12"]).collect();
+    let set = small_flight(&["simulator.frames=12"]);
     let mut gated = Gated::start("split", &scratch, &["--profile", "repeat"], &set);
     let arguments = [text(&out), "--frames", "views", "--split", "5MB"];
     let mut recorder = recorder(&mut gated.flight, &arguments);
@@ -186,7 +191,7 @@ fn a_recording_that_was_split_is_replayed_to_its_end() {
 /// Copies a recording, with no marker in any detection, and these `hits` in its header.
 pub(crate) fn forget_all_markers(from: &Path, to: &Path, hits: u32) {
     let layout = layout("flockeye/detection");
-    let mut reader = Reader::open(from).expect("it is a recording");
+    let mut reader = RecordingReader::open(from).expect("it is a recording");
     let file = RecordingFile::create(to).expect("it is new");
     let mut writer = RecordingWriter::begin(file, reader.about()).expect("it can be written");
     while let Some(mut message) = reader.next_message().expect("it can be read") {
@@ -209,16 +214,13 @@ pub(crate) fn forget_all_markers(from: &Path, to: &Path, hits: u32) {
 fn what_cannot_be_replayed_says_why() {
     let scratch = Scratch::new("not-replayed");
     let out = scratch.path("flight.mcap");
-    let mut flight = Flight::start("not-replayed", &[], SMALL_FLIGHT);
-    flight.wait_for("alpha confirmed");
+    let mut flight = Flight::with_poses("not-replayed", &[], SMALL_FLIGHT);
     let mut recorder = recorder(&mut flight, &[text(&out), "--for", "1s", "--frames", "views"]);
     assert!(recorder.wait().success(), "{}", recorder.output());
     let (is_well, said) = run(&["replay", text(&out)]);
     assert!(!is_well && said.contains("entries after fusion's journal"), "{said}");
     assert!(said.contains("Cure: record from the first frame on"), "{said}");
-    flight.signal(Signal::INT);
-    assert!(flight.wait().success(), "{}", flight.output());
-    flight.assert_nothing_left();
+    flight.end_by(Signal::INT);
     let setting = format!("recording.folder={}", scratch.path("blind").display());
     let set = [SMALL_FLIGHT, &[setting.as_str(), "simulator.frames=8"]].concat();
     let mut flight = Flight::start("no-pixels", &["--profile", "repeat"], &set);
@@ -238,8 +240,7 @@ fn what_cannot_be_replayed_says_why() {
 fn a_killed_recorder_leaves_a_recording_that_opens() {
     let scratch = Scratch::new("rec-killed");
     let (out, good) = (scratch.path("flight.mcap"), scratch.path("good.mcap"));
-    let mut flight = Flight::start("rec-killed", &[], SMALL_FLIGHT);
-    flight.wait_for("alpha confirmed");
+    let mut flight = Flight::with_poses("rec-killed", &[], SMALL_FLIGHT);
     let mut killed = recorder(&mut flight, &[text(&out)]);
     let name = flight.instance.name().to_owned();
     let (is_well, said) = run(&["record", text(&out), "--instance", &name]);
@@ -272,8 +273,7 @@ fn a_killed_recorder_leaves_a_recording_that_opens() {
 fn a_file_that_cannot_grow_ends_the_recording_and_stays_readable() {
     let scratch = Scratch::new("rec-full");
     let out = scratch.path("flight.mcap");
-    let mut flight = Flight::start("rec-full", &[], SMALL_FLIGHT);
-    flight.wait_for("alpha confirmed");
+    let mut flight = Flight::with_poses("rec-full", &[], SMALL_FLIGHT);
     let mut command = Command::new("prlimit");
     command.arg("--fsize=4000000").arg(flockeye()).arg("record").arg(&out);
     command.args(["--frames", "views", "--instance", flight.instance.name()]);
@@ -284,9 +284,7 @@ fn a_file_that_cannot_grow_ends_the_recording_and_stays_readable() {
     let (views, ending) = read(&out, "flockeye/view");
     assert_eq!(ending, Ending::Cut);
     assert!(!views.is_empty());
-    flight.signal(Signal::INT);
-    assert!(flight.wait().success(), "{}", flight.output());
-    flight.assert_nothing_left();
+    flight.end_by(Signal::INT);
 }
 
 /// What came before is kept in memory, and written when somebody asks.
@@ -294,8 +292,7 @@ fn a_file_that_cannot_grow_ends_the_recording_and_stays_readable() {
 fn what_came_before_is_written_on_request() {
     let scratch = Scratch::new("rec-ring");
     let out = scratch.path("ring.mcap");
-    let mut flight = Flight::start("rec-ring", &[], SMALL_FLIGHT);
-    flight.wait_for("alpha confirmed");
+    let mut flight = Flight::with_poses("rec-ring", &[], SMALL_FLIGHT);
     let name = flight.instance.name().to_owned();
     let (is_well, said) = run(&["record", "--now", "--instance", &name]);
     assert!(!is_well && said.contains("keeps the past. Cure:"), "{said}");
@@ -315,7 +312,7 @@ fn what_came_before_is_written_on_request() {
         .filter(|path| text(path).contains("ring-20"))
         .collect();
     assert_eq!(written.len(), 1, "{written:?}");
-    let mut reader = Reader::open(&written[0]).expect("it is a recording");
+    let mut reader = RecordingReader::open(&written[0]).expect("it is a recording");
     let mut times = Vec::new();
     while let Some(message) = reader.next_message().expect("it can be read") {
         if message.channel.topic == "/flockeye/health" {
@@ -340,13 +337,11 @@ fn what_led_to_a_lost_track_is_written() {
     // A track that two frames in a row do not measure is lost.
     let blind = ["stages.detection.replicas=2", "fusion.coast_s=0.05", "fusion.align=false"];
     let set: Vec<&str> = SMALL_FLIGHT.iter().copied().chain(blind).collect();
-    let mut flight = Flight::start("rec-lost", &[], &set);
-    flight.wait_for("alpha confirmed");
+    let mut flight = Flight::with_poses("rec-lost", &[], &set);
     let mut recorder = recorder(&mut flight, &[text(&out), "--trigger", "lost"]);
     let name = flight.instance.name().to_owned();
     // Some frames then have no record of the neighbour's region.
-    let (is_well, said) = run(&["stop", "detection.1", "--instance", &name]);
-    assert!(is_well, "{said}");
+    succeeds(&["stop", "detection.1", "--instance", &name]);
     recorder.wait_for("what came before is in");
     recorder.signal(Signal::INT);
     assert!(recorder.wait().success(), "{}", recorder.output());
@@ -362,9 +357,7 @@ fn what_led_to_a_lost_track_is_written() {
     };
     let [before @ .., last] = tracks.as_slice() else { panic!("no tracks in {file:?}") };
     assert!(is_lost(last) && !before.iter().any(is_lost), "it ends where a track is lost");
-    flight.signal(Signal::INT);
-    assert!(flight.wait().success(), "{}", flight.output());
-    flight.assert_nothing_left();
+    flight.end_by(Signal::INT);
 }
 
 #[test]
@@ -383,8 +376,8 @@ fn what_cannot_be_recorded_leaves_nothing() {
     assert!(!is_well && said.contains("is not none, views, camera, or"), "{said}");
 }
 
-/// With `recording.folder` each flight is recorded from its first frame on, and a recorder that is killed begins
-/// another file.
+/// With `recording.folder` each flight is recorded from its first frame on, and a recorder that is
+/// killed begins another file.
 #[test]
 fn a_flight_is_recorded_by_configuration() {
     let scratch = Scratch::new("rec-set");
@@ -396,9 +389,8 @@ fn a_flight_is_recorded_by_configuration() {
         "{said}"
     );
     assert!(!folder.exists());
-    let set: Vec<&str> = SMALL_FLIGHT.iter().copied().chain([setting.as_str()]).collect();
-    let mut flight = Flight::start("rec-set", &[], &set);
-    flight.wait_for("alpha confirmed");
+    let set = small_flight(&[setting.as_str()]);
+    let mut flight = Flight::with_poses("rec-set", &[], &set);
     let recordings = || -> Vec<PathBuf> {
         let entries = std::fs::read_dir(&folder).expect("it was made");
         let mut paths: Vec<_> = entries.map(|entry| entry.expect("it is there").path()).collect();
@@ -438,5 +430,5 @@ fn a_flight_is_recorded_by_configuration() {
 
 /// How many messages of `frame_end` a file has by now; none while its beginning is not whole.
 fn read_any(path: &Path) -> usize {
-    Reader::open(path).map_or(0, |_| read(path, "flockeye/frame_end").0.len())
+    RecordingReader::open(path).map_or(0, |_| read(path, "flockeye/frame_end").0.len())
 }

@@ -6,7 +6,7 @@ use flockeye_contract::{JournalEntry, JournalHeader, JournalKind, ViewHeader};
 use flockeye_recording::channel::VIEW_IMAGES;
 use flockeye_recording::file::RecordingFile;
 use flockeye_recording::message::decode;
-use flockeye_recording::{Reader, RecordedMessage, RecordingWriter};
+use flockeye_recording::{RecordedMessage, RecordingReader, RecordingWriter};
 use flockeye_tests::{SMALL_FLIGHT, Scratch, run};
 
 use crate::explaining::flown_without_losses;
@@ -75,8 +75,12 @@ fn is_view(message: &RecordedMessage, entry: &JournalEntry) -> bool {
 }
 
 /// Copies a recording without the messages that `is_lost` names.
-fn copy_without(from: &Path, to: &Path, mut is_lost: impl FnMut(&RecordedMessage) -> bool) {
-    let mut reader = Reader::open(from).expect("it is a recording");
+pub(crate) fn copy_without(
+    from: &Path,
+    to: &Path,
+    mut is_lost: impl FnMut(&RecordedMessage) -> bool,
+) {
+    let mut reader = RecordingReader::open(from).expect("it is a recording");
     let file = RecordingFile::create(to).expect("it is new");
     let mut writer = RecordingWriter::begin(file, reader.about()).expect("it can be written");
     while let Some(message) = reader.next_message().expect("it can be read") {
@@ -148,7 +152,8 @@ fn a_flight_in_real_time_gives_the_same_poses_again() {
     assert!(!is_same && refusal.contains("messages of "), "{refusal}");
 }
 
-/// Gusts, and neighbours so far away that some are sought in the background, whose answers come when they come.
+/// Gusts, and neighbours so far away that some are sought in the background, whose answers come
+/// when they come.
 #[test]
 fn background_passes_in_real_time_are_repeated() {
     let scratch = Scratch::new("repeated-far");

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use flockeye_tests::{Flight, SMALL_FLIGHT};
+use flockeye_tests::{Flight, small_flight};
 use rustix::process::{Pid, Signal};
 
 /// A field of the stat file of a process or thread (proc(5)), counted from 1.
@@ -58,9 +58,8 @@ fn stages_run_where_and_when_they_are_told_to() {
         "stages.fusion.scheduling=batch",
         "stages.rectification.nice=3",
     ];
-    let set: Vec<&str> = SMALL_FLIGHT.iter().chain(&more).copied().collect();
-    let mut flight = Flight::start("scheduled", &[], &set);
-    flight.wait_for("alpha confirmed");
+    let set = small_flight(&more);
+    let mut flight = Flight::with_poses("scheduled", &[], &set);
     let of = |stage: &str| flight.stages(&format!("flockeye-{stage}"))[0];
     assert_eq!(processors(of("fusion")), first);
     assert_eq!(class(of("fusion")), "3", "SCHED_BATCH");
@@ -71,9 +70,7 @@ fn stages_run_where_and_when_they_are_told_to() {
         assert_eq!(nice(of("rectification")), "3");
         assert_eq!(nice(of("detection")), "5");
     }
-    flight.signal(Signal::INT);
-    assert!(flight.wait().success(), "{}", flight.output());
-    flight.assert_nothing_left();
+    flight.end_by(Signal::INT);
 }
 
 #[test]
@@ -84,9 +81,8 @@ fn real_time_classes_are_had_with_the_privilege_and_refused_aloud_without() {
         "stages.fusion.priority=3",
         "stages.rectification.scheduling=round_robin",
     ];
-    let set: Vec<&str> = SMALL_FLIGHT.iter().chain(&more).copied().collect();
-    let mut flight = Flight::start("real-time", &[], &set);
-    flight.wait_for("alpha confirmed");
+    let set = small_flight(&more);
+    let mut flight = Flight::with_poses("real-time", &[], &set);
     let of = |stage: &str| flight.stages(&format!("flockeye-{stage}"))[0];
     let refused = "scheduling policy fifo is refused";
     if flight.output().contains(refused) {
@@ -102,31 +98,24 @@ fn real_time_classes_are_had_with_the_privilege_and_refused_aloud_without() {
     let own = Pid::from_raw(std::process::id().cast_signed()).expect("a process has a number");
     let usual: i32 = nice(own).parse().expect("a number");
     assert_eq!(field(&aside, 19), (usual.max(0) + 10).min(19).to_string());
-    flight.signal(Signal::INT);
-    assert!(flight.wait().success(), "{}", flight.output());
-    flight.assert_nothing_left();
+    flight.end_by(Signal::INT);
 }
 
 #[test]
 fn a_lossless_run_leaves_nothing_to_a_thread_of_its_own() {
     let more = ["stages.detection.replicas=1", "profile=repeat"];
-    let set: Vec<&str> = SMALL_FLIGHT.iter().chain(&more).copied().collect();
-    let mut flight = Flight::start("no-aside", &[], &set);
-    flight.wait_for("alpha confirmed");
+    let set = small_flight(&more);
+    let mut flight = Flight::with_poses("no-aside", &[], &set);
     assert_eq!(thread(flight.stages("flockeye-fusion")[0], "background-pass"), None);
-    flight.signal(Signal::INT);
-    assert!(flight.wait().success(), "{}", flight.output());
-    flight.assert_nothing_left();
+    flight.end_by(Signal::INT);
 }
 
 #[test]
 fn what_the_system_refuses_is_said_and_costs_nothing_else() {
     let more = ["stages.detection.replicas=1", "stages.fusion.cpus=[9999]"];
-    let set: Vec<&str> = SMALL_FLIGHT.iter().chain(&more).copied().collect();
+    let set = small_flight(&more);
     let mut flight = Flight::start("refused", &[], &set);
     flight.wait_for("processors [9999] are refused");
     flight.wait_for("alpha confirmed");
-    flight.signal(Signal::INT);
-    assert!(flight.wait().success(), "{}", flight.output());
-    flight.assert_nothing_left();
+    flight.end_by(Signal::INT);
 }

@@ -10,7 +10,7 @@ use std::time::Duration;
 
 use flockeye_require::loopback::free_port;
 use flockeye_runtime::lock::lock;
-use flockeye_tests::{Beside, Flight, Scratch, flockeye, run, told, unique};
+use flockeye_tests::{Beside, Flight, Scratch, flockeye, run, succeeds, told, unique};
 use rustix::process::Signal;
 
 use crate::python::{example, python};
@@ -44,9 +44,7 @@ impl Keys {
     fn run(&self, arguments: &[&str]) -> String {
         let authority = self.path("authority");
         let whole = [&["keys"], arguments, &["--authority", &authority]].concat();
-        let (succeeded, output) = run(&whole);
-        assert!(succeeded, "{output}");
-        output
+        succeeds(&whole)
     }
 
     /// Copies the roster of now to all.
@@ -89,7 +87,8 @@ impl Keys {
     }
 }
 
-/// A router that is started again when it dies, as docs/SECURITY.md asks for: Zenoh's TLS links may end their process.
+/// A router that is started again when it dies, as docs/SECURITY.md asks for: Zenoh's TLS links may
+/// end their process.
 struct Router {
     process: Arc<Mutex<Beside>>,
     is_over: Arc<AtomicBool>,
@@ -166,8 +165,7 @@ fn drones_with_certificates_hear_each_other_until_one_is_revoked() {
     assert!(said.contains("1 of its certificates"), "{said}");
     assert!(keys.run(&["list"]).contains("revoked"));
     keys.hand_out();
-    let (succeeded, output) = run(&["restart", "gateway", "--instance", kite.instance.name()]);
-    assert!(succeeded, "{output}");
+    succeeds(&["restart", "gateway", "--instance", kite.instance.name()]);
     // The router does not know it yet, and passes on what wren says; its signature tells.
     kite.wait_for("the certificate of 'wren' is revoked");
     for mut flight in [wren, kite] {
@@ -254,7 +252,8 @@ presence.answered("wren", 3 * second, 5.1)
 assert presence.believes("wren", 4 * second, 6.1), "its clock was set back"
 "#;
 
-/// Keys that do not hold ground nobody: the rest of the pipeline flies, and the gateway waits for better ones.
+/// Keys that do not hold ground nobody: the rest of the pipeline flies, and the gateway waits for
+/// better ones.
 #[test]
 fn an_expired_certificate_costs_the_network_alone() {
     let keys = Keys::new();

@@ -1,10 +1,11 @@
-//! The pipeline as a service of systemd, and the examination of a machine. `deploy/test-package` boots systemd itself.
+//! The pipeline as a service of systemd, and the examination of a machine. `deploy/test-package`
+//! boots systemd itself.
 
 use std::os::unix::net::UnixDatagram;
 use std::process::Command;
 use std::time::{Duration, Instant};
 
-use flockeye_tests::{Flight, SMALL_FLIGHT, Scratch, WATCHDOG, flockeye, run, unique};
+use flockeye_tests::{Flight, SMALL_FLIGHT, Scratch, WATCHDOG, flockeye, succeeds, unique};
 use rustix::process::Signal;
 
 /// What systemd would hear of a pipeline, with the time of each message.
@@ -92,12 +93,9 @@ fn a_pipeline_without_frames_does_not_feed_the_watchdog_unless_that_was_asked_fo
     let feeds = fed(&manager.heard).len();
     // Somebody ends a stage: no frame is owed any more.
     let instance = flight.instance.name().to_owned();
-    let (stopped, said) = run(&["stop", "detection", "--instance", &instance]);
-    assert!(stopped, "{said}");
+    succeeds(&["stop", "detection", "--instance", &instance]);
     manager.listen(&flight, |heard| fed(heard).len() >= feeds + 3);
-    flight.signal(Signal::TERM);
-    assert!(flight.wait().success(), "{}", flight.output());
-    flight.assert_nothing_left();
+    flight.end_by(Signal::TERM);
 }
 
 fn examined(set: &[&str]) -> (bool, serde_json::Value) {
@@ -125,7 +123,8 @@ fn a_doctor_finds_this_machine_fit_and_names_what_is_missing() {
         assert!(about(topic) > 0, "nothing about {topic}: {report:#}");
     }
 
-    // A camera that is not there, an address of somebody else's, keys that are missing, too much memory.
+    // A camera that is not there, an address of somebody else's, keys that are missing, too much
+    // memory.
     let (would_fly, report) = examined(&[
         "source.input=theta",
         "gateway.listen=[tls/192.0.2.7:7447]",

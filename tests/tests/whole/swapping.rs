@@ -7,30 +7,11 @@ use std::process::Command;
 use std::time::Duration;
 
 use flockeye_tables::{FrameTimes, PoseRow, read};
-use flockeye_tests::{Flight, SMALL_FLIGHT, Scratch, WATCHDOG, flockeye, run, unique};
+use flockeye_tests::{Flight, POSES_FLOW, Scratch, WATCHDOG, flockeye, run, small_flight, unique};
 use serde_json::Value;
 
-/// What is said of the neighbour once it is tracked.
-const POSES_FLOW: &str = "alpha confirmed";
-
 fn fly(name: &str, arguments: &[&str], more: &[&str]) -> Flight {
-    let set: Vec<&str> = SMALL_FLIGHT.iter().chain(more).copied().collect();
-    let mut flight = Flight::start(name, arguments, &set);
-    flight.wait_for(POSES_FLOW);
-    flight
-}
-
-/// Runs a command on the flight: whether it succeeded, and what it said.
-fn ask(flight: &Flight, arguments: &[&str]) -> (bool, String) {
-    let (command, rest) = arguments.split_first().expect("a command");
-    run(&[&[*command, "--instance", flight.instance.name()], rest].concat())
-}
-
-fn end(mut flight: Flight) {
-    let (succeeded, output) = ask(&flight, &["stop"]);
-    assert!(succeeded && output.contains("the pipeline ends"), "{output}");
-    assert!(flight.wait().success(), "{}", flight.output());
-    flight.assert_nothing_left();
+    Flight::with_poses(name, arguments, &small_flight(more))
 }
 
 fn silent_detector() -> String {
@@ -46,14 +27,14 @@ fn no_frame_is_lost_and_no_pose_comes_twice_when_each_stage_is_swapped() {
     let mut flight = fly("swaps", &recorded, &[]);
     for worker in ["detection", "detection.1", "rectification", "egomotion", "fusion"] {
         // Tests beside this one take the processor at times.
-        let (succeeded, output) = ask(&flight, &["swap", worker, "--within", "60s"]);
+        let (succeeded, output) = flight.ask(&["swap", worker, "--within", "60s"]);
         assert!(succeeded, "{output}\n{}", flight.output());
         for part in ["works in the old one's shadow", "it takes over at frame", "is swapped after"]
         {
             assert!(output.contains(part), "{part:?} is missing in:\n{output}");
         }
     }
-    let (_, output) = ask(&flight, &["status", "--json"]);
+    let (_, output) = flight.ask(&["status", "--json"]);
     let status: Value = serde_json::from_str(&output).expect("nothing but JSON");
     let generations: BTreeMap<&str, u64> = status["workers"]
         .as_array()
@@ -68,10 +49,9 @@ fn no_frame_is_lost_and_no_pose_comes_twice_when_each_stage_is_swapped() {
         assert!(generations[worker] >= 1, "{generations:?}");
     }
     assert_eq!(generations["simulator"], 0);
-    let (succeeded, output) = ask(&flight, &["stop"]);
+    let (succeeded, output) = flight.ask(&["stop"]);
     assert!(succeeded, "{output}");
-    assert!(flight.wait().success(), "{}", flight.output());
-    flight.assert_nothing_left();
+    flight.assert_ends_well();
 
     let rows: Vec<PoseRow> = read(files[0].as_path()).expect("poses were recorded");
     let told: BTreeSet<_> = rows.iter().map(|row| (row.frame, row.target.clone())).collect();
@@ -88,43 +68,43 @@ fn no_frame_is_lost_and_no_pose_comes_twice_when_each_stage_is_swapped() {
 #[test]
 fn a_lossless_run_swaps_nothing() {
     let flight = fly("loss-swap", &["--profile", "repeat"], &[]);
-    let (succeeded, output) = ask(&flight, &["swap", "detection"]);
+    let (succeeded, output) = flight.ask(&["swap", "detection"]);
     assert!(!succeeded && output.contains("a lossless run is for evaluation"), "{output}");
-    end(flight);
+    flight.stop();
 }
 
 #[test]
 fn a_source_is_swapped_with_a_gap_that_is_told() {
     let flight = fly("swap-source", &[], &[]);
-    let (succeeded, output) = ask(&flight, &["swap", "simulator", "--within", "60s"]);
+    let (succeeded, output) = flight.ask(&["swap", "simulator", "--within", "60s"]);
     assert!(succeeded, "{output}\n{}", flight.output());
     for part in ["the old process ends first", "simulator is swapped; ", " s passed without it"] {
         assert!(output.contains(part), "{part:?} is missing in:\n{output}");
     }
     // One that does not work makes room for the old one again.
     let command = ["swap", "simulator", "--within", "2s", "--", "sleep", "100"];
-    let (succeeded, output) = ask(&flight, &command);
+    let (succeeded, output) = flight.ask(&command);
     assert!(!succeeded && output.contains("The old program is started again"), "{output}");
-    let (succeeded, output) = ask(&flight, &["restart", "simulator"]);
+    let (succeeded, output) = flight.ask(&["restart", "simulator"]);
     assert!(succeeded && output.contains("simulator runs (process "), "{output}");
-    end(flight);
+    flight.stop();
 }
 
 #[test]
 fn a_stage_that_owns_a_port_or_device_is_put_back_if_the_new_one_does_not_work() {
     let mut flight =
         fly("gateway", &[], &["gateway.enabled=true", "gateway.listen=[tcp/127.0.0.1:0]"]);
-    let (succeeded, output) = ask(&flight, &["swap", "gateway", "--within", "60s"]);
+    let (succeeded, output) = flight.ask(&["swap", "gateway", "--within", "60s"]);
     assert!(succeeded && output.contains("s passed without it"), "{output}\n{}", flight.output());
     for worker in ["gateway", "simulator"] {
         for program in ["false", "sleep"] {
             let swap = ["swap", worker, "--within", "2s", "--", program, "60"];
-            let (succeeded, output) = ask(&flight, &swap);
+            let (succeeded, output) = flight.ask(&swap);
             let wanted = format!("{worker} is not swapped: the new process did not work within");
             assert!(!succeeded && output.contains(&wanted), "{output}\n{}", flight.output());
-            let (succeeded, output) = ask(&flight, &["restart", worker]);
+            let (succeeded, output) = flight.ask(&["restart", worker]);
             assert!(succeeded, "{output}\n{}", flight.output());
-            let (_, output) = ask(&flight, &["status", "--json"]);
+            let (_, output) = flight.ask(&["status", "--json"]);
             let status: Value = serde_json::from_str(&output).expect("nothing but JSON");
             let workers = status["workers"].as_array().expect("a list");
             let found = workers.iter().find(|found| found["worker"] == worker).expect("it is one");
@@ -139,7 +119,7 @@ fn a_stage_that_owns_a_port_or_device_is_put_back_if_the_new_one_does_not_work()
         std::thread::sleep(Duration::from_millis(50));
     }
     assert!(!flight.has_ended());
-    end(flight);
+    flight.stop();
 }
 
 #[test]
@@ -169,20 +149,20 @@ fn what_cannot_take_over_is_refused_with_its_reason_and_the_old_one_stays() {
         ),
         (vec!["swap", "detection", "--set", "detection.windows=[7"], "the running configuration"),
     ] {
-        let (succeeded, output) = ask(&flight, &command);
+        let (succeeded, output) = flight.ask(&command);
         assert!(!succeeded && output.contains(wanted), "{wanted:?} is missing in:\n{output}");
     }
     assert_eq!(flight.stages("flockeye-detection"), before, "the old ones are untouched");
     // Who wants it all the same gets it, and can go back.
-    let (succeeded, output) = ask(&flight, &["swap", "detection", "--accept-worse", "--", &silent]);
+    let (succeeded, output) = flight.ask(&["swap", "detection", "--accept-worse", "--", &silent]);
     assert!(succeeded, "{output}");
     assert_eq!(flight.stages("silent-detector").len(), 1);
     // There is nothing to compare it with: half of the time is waited for that.
     let own = flockeye().with_file_name("flockeye-detection");
     let (succeeded, output) =
-        ask(&flight, &["swap", "detection", "--within", "12s", "--", own.to_str().expect("plain")]);
+        flight.ask(&["swap", "detection", "--within", "12s", "--", own.to_str().expect("plain")]);
     assert!(succeeded, "{output}");
-    end(flight);
+    flight.stop();
 }
 
 #[test]
@@ -190,7 +170,7 @@ fn one_that_fails_after_it_took_over_is_taken_back() {
     let mut flight = fly("back", &[], &[]);
     let silent = silent_detector();
     let command = ["swap", "detection", "--accept-worse", "--", &silent, "leave"];
-    let (succeeded, output) = ask(&flight, &command);
+    let (succeeded, output) = flight.ask(&command);
     assert!(!succeeded, "{output}");
     for part in
         ["it takes over at frame", "the old process counts again", "after it had taken over"]
@@ -199,7 +179,7 @@ fn one_that_fails_after_it_took_over_is_taken_back() {
     }
     assert_eq!(flight.stages("flockeye-detection").len(), 2);
     flight.wait_for(POSES_FLOW);
-    end(flight);
+    flight.stop();
 }
 
 #[test]
@@ -210,48 +190,48 @@ fn a_second_swap_at_once_is_told_to_wait() {
     command.args(["--", "sleep", "100"]);
     let mut first = Flight::launch(&unique("first"), command);
     flight.wait_for("detection: process ");
-    let (succeeded, output) = ask(&flight, &["swap", "fusion"]);
+    let (succeeded, output) = flight.ask(&["swap", "fusion"]);
     assert!(!succeeded && output.contains("detection is being swapped. Cure: wait"), "{output}");
     assert!(!first.wait().success(), "{}", first.output());
-    end(flight);
+    flight.stop();
 }
 
 #[test]
 fn settings_are_swapped_in_and_stay() {
     let flight = fly("settings", &[], &[]);
     let set = ["swap", "fusion", "--within", "60s", "--set", "fusion.covariance_scale=1.5"];
-    let (succeeded, output) = ask(&flight, &set);
+    let (succeeded, output) = flight.ask(&set);
     assert!(succeeded, "{output}\n{}", flight.output());
     let resolved = flight.instance.pipeline().expect("it is there");
     let value = serde_json::to_value(&resolved).expect("it is plain");
     assert_eq!(value["fusion"]["covariance_scale"], 1.5);
-    end(flight);
+    flight.stop();
 }
 
 #[test]
 fn what_runs_is_shown_and_workers_are_ended_and_started() {
     let flight = fly("manage", &[], &[]);
-    let (succeeded, output) = ask(&flight, &["status"]);
+    let (succeeded, output) = flight.ask(&["status"]);
     assert!(succeeded, "{output}");
     for part in ["worker", "fusion", "detection.1", "ready", "flockeye-simulator"] {
         assert!(output.contains(part), "{part:?} is missing in:\n{output}");
     }
-    let (succeeded, output) = ask(&flight, &["stop", "egomotion"]);
+    let (succeeded, output) = flight.ask(&["stop", "egomotion"]);
     assert!(succeeded && output.contains("egomotion has stopped"), "{output}");
     assert!(flight.stages("flockeye-egomotion").is_empty());
-    let (_, output) = ask(&flight, &["status"]);
+    let (_, output) = flight.ask(&["status"]);
     assert!(output.contains("stopped"), "{output}");
-    let (succeeded, output) = ask(&flight, &["start", "egomotion"]);
+    let (succeeded, output) = flight.ask(&["start", "egomotion"]);
     assert!(succeeded && output.contains("egomotion runs (process "), "{output}");
-    let (succeeded, output) = ask(&flight, &["start", "egomotion"]);
+    let (succeeded, output) = flight.ask(&["start", "egomotion"]);
     assert!(!succeeded && output.contains("egomotion runs already"), "{output}");
     let before = flight.stages("flockeye-detection");
-    let (succeeded, output) = ask(&flight, &["restart", "detection.1"]);
+    let (succeeded, output) = flight.ask(&["restart", "detection.1"]);
     assert!(succeeded && output.contains("generation 1"), "{output}");
     assert_ne!(flight.stages("flockeye-detection"), before);
-    let (succeeded, output) = ask(&flight, &["restart", "fusions"]);
+    let (succeeded, output) = flight.ask(&["restart", "fusions"]);
     assert!(!succeeded && output.contains("there is no stage 'fusions'"), "{output}");
-    end(flight);
+    flight.stop();
 }
 
 #[test]
@@ -266,13 +246,13 @@ fn control_clients_that_babble_or_hang_are_dropped() {
     let mut answer = String::new();
     BufReader::new(&babbling).read_line(&mut answer).expect("it answers");
     assert!(answer.contains("not a request"), "{answer}");
-    let (succeeded, output) = ask(&flight, &["status"]);
+    let (succeeded, output) = flight.ask(&["status"]);
     assert!(succeeded, "{output}");
     hanging.set_read_timeout(Some(Duration::from_secs(60))).expect("a time");
     let mut answer = String::new();
     BufReader::new(&hanging).read_line(&mut answer).expect("it is told");
     assert!(answer.contains("no request came"), "{answer}");
-    end(flight);
+    flight.stop();
 }
 
 #[test]

@@ -4,7 +4,7 @@ use std::process::Command;
 use std::time::{Duration, Instant};
 
 use flockeye_runtime::instance::Instance;
-use flockeye_tests::{Flight, WATCHDOG, flockeye, run, unique};
+use flockeye_tests::{Flight, WATCHDOG, flockeye, run, succeeds, unique};
 use rustix::process::Signal;
 
 /// Four drones on a ring, so far from each other that each sees the two beside it alone.
@@ -29,14 +29,13 @@ fn instances(swarm: &str, drones: u32) -> Vec<Instance> {
 #[test]
 fn drones_know_those_beside_them_mutually_and_the_others_through_them() {
     let swarm = unique("swm");
-    let (is_good, output) =
-        run(&[&RING[..], &["--instance", &swarm, "--for", "10s", "--json"]].concat());
-    assert!(is_good, "{output}");
+    let output = succeeds(&[&RING[..], &["--instance", &swarm, "--for", "10s", "--json"]].concat());
     let line = output.lines().find(|line| line.starts_with('{')).expect("a report");
     let report: serde_json::Value = serde_json::from_str(line).expect("it is JSON");
     let number =
         |path: &str| report.pointer(path).and_then(|value| value.as_f64()).unwrap_or(f64::NAN);
-    // Half of what there is on an idle machine: each of four has two others mutually ten times a second.
+    // Half of what there is on an idle machine: each of four has two others mutually ten times a
+    // second.
     assert!(number("/ways/mutual/poses") > 200.0, "{report}");
     assert!(number("/ways/chained/poses") > 50.0, "{report}");
     for way in ["mutual", "chained"] {

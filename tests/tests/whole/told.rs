@@ -1,4 +1,5 @@
-//! What leaves a pipeline: reports for the swarm, messages of ROS 2, and the autopilot's neighbours.
+//! What leaves a pipeline: reports for the swarm, messages of ROS 2, and the autopilot's
+//! neighbours.
 
 use std::collections::BTreeSet;
 use std::net::{SocketAddr, UdpSocket};
@@ -107,7 +108,8 @@ fn the_autopilot_is_told_of_its_target_and_of_obstacles() {
     until(&flight, || {
         let mut datagram = [0; 2048];
         let length = socket.recv(&mut datagram).ok()?;
-        // MAVLink 2: magic, length, two flags, sequence, system, component, then the message's number.
+        // MAVLink 2: magic, length, two flags, sequence, system, component, then the message's
+        // number.
         if let [0xfd, _, _, _, _, system, component, a, b, c, ..] = datagram[..length] {
             assert_eq!((system, component), (9, 191));
             seen.insert(u32::from_le_bytes([a, b, c, 0]));

@@ -17,7 +17,7 @@ use flockeye_geometry::Ray;
 use flockeye_require::loopback::free_port;
 use flockeye_tests::browser::Browser;
 use flockeye_tests::onlooker::{Gated, join, subscribe};
-use flockeye_tests::{Flight, SMALL_FLIGHT, Scratch, WATCHDOG, flockeye, unique};
+use flockeye_tests::{Flight, SMALL_FLIGHT, Scratch, WATCHDOG, flockeye, small_flight, unique};
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
 use rustix::process::{Signal, kill_process};
 use serde_json::Value;
@@ -87,8 +87,8 @@ impl View {
     }
 }
 
-/// The mean grey of the picture on the white rims and on the black borders of a neighbour's markers that face
-/// the camera, where its pose, moved aside by so many millimetres, has them.
+/// The mean grey of the picture on the white rims and on the black borders of a neighbour's markers
+/// that face the camera, where its pose, moved aside by so many millimetres, has them.
 const GREYS: &str = r"(millimetres) => {
     const { sphere, bodies, history } = flockeye;
     const track = history.pictured.frame.tracks.find(({ target }) => target === 0);
@@ -124,7 +124,8 @@ const GREYS: &str = r"(millimetres) => {
     return [sums.rim[0] / sums.rim[1] - sums.border[0] / sums.border[1], sums.rim[1]];
 }";
 
-/// Where the page draws the corners of the neighbour's markers in the flat picture, as shares of its sides.
+/// Where the page draws the corners of the neighbour's markers in the flat picture, as shares of
+/// its sides.
 const CORNERS: &str = r"(() => {
     const { sphere, bodies, history } = flockeye;
     const { key, tracks } = history.pictured.frame;
@@ -141,12 +142,14 @@ fn numbers<const N: usize>(value: &Value) -> [f64; N] {
     std::array::from_fn(|k| value[k].as_f64().expect("a number"))
 }
 
-/// A neighbour that was measured in the frame that is shown, with its close-up, and some pictures before.
+/// A neighbour that was measured in the frame that is shown, with its close-up, and some pictures
+/// before.
 const SEEN: &str = "(flockeye.history.frames.filter(({ bitmap }) => bitmap).length > 5 && flockeye.history.pictured.bitmap && flockeye.history.pictured.frame.tracks
     .some(({ target, state, by }) => target === 0 && state === 'confirmed' && by === 'aligned')
     && flockeye.history.frames.some(({ closeups }) => closeups.get(0)?.head.score?.correlation > 0.8))";
 
-/// Fails unless the page and the camera model agree where the corners of the neighbour's markers are.
+/// Fails unless the page and the camera model agree where the corners of the neighbour's markers
+/// are.
 fn assert_corners_are_in_their_places(browser: &mut Browser, resolved: &Resolved) {
     let drawn = browser.ask(CORNERS);
     let ([x, y, z], q) = (numbers(&drawn["pose"]["p"]), numbers::<4>(&drawn["pose"]["q"]));
@@ -169,7 +172,8 @@ fn assert_corners_are_in_their_places(browser: &mut Browser, resolved: &Resolved
     }
 }
 
-/// Looks closely, and fails unless the markers' white rims and black borders are where the pose has them.
+/// Looks closely, and fails unless the markers' white rims and black borders are where the pose has
+/// them.
 fn assert_picture_is_where_the_pose_is(browser: &mut Browser) {
     browser.ask("flockeye.follow(0)");
     let drawn_twice =
@@ -185,10 +189,8 @@ fn assert_picture_is_where_the_pose_is(browser: &mut Browser) {
 #[test]
 fn a_page_shows_the_neighbour_where_it_is() {
     let Some(mut browser) = Browser::start() else { return };
-    let set: Vec<&str> =
-        SMALL_FLIGHT.iter().copied().chain(["simulator.airframes=false"]).collect();
-    let mut flight = Flight::start("view", &[], &set);
-    flight.wait_for("alpha confirmed");
+    let set = small_flight(&["simulator.airframes=false"]);
+    let mut flight = Flight::with_poses("view", &[], &set);
     let view = View::of(&flight, &[]);
     browser.open(&view.address());
     browser.wait_for(SEEN);
@@ -218,7 +220,8 @@ fn a_page_shows_the_neighbour_where_it_is() {
     browser.wait_for("document.getElementById('notice').textContent.includes('does not run')");
     flight.assert_nothing_left();
 
-    // Another one of the same name is followed by itself, with pictures, although the page was paused.
+    // Another one of the same name is followed by itself, with pictures, although the page was
+    // paused.
     browser.ask("flockeye.pause(true)");
     let name = flight.instance.name().to_owned();
     let mut flight = Flight::start_as(&name, &[], &set);
@@ -299,8 +302,8 @@ fn next(page: &mut WebSocket<TcpStream>, start: Instant) -> Message {
     page.read().expect("the view goes on")
 }
 
-/// Waits until the view reads frames, too. It does from a report of the stages on that came after one that came
-/// after one that may have crossed the page's wish.
+/// Waits until the view reads frames, too. It does from a report of the stages on that came after
+/// one that came after one that may have crossed the page's wish.
 fn wait_until_followed(page: &mut WebSocket<TcpStream>) {
     let (mut reports, start) = (0, Instant::now());
     while reports < 3 {
@@ -340,8 +343,7 @@ fn read_page(page: &mut WebSocket<TcpStream>, last: u64) -> (Vec<u64>, usize) {
 
 #[test]
 fn bad_requests_are_refused_and_harm_nobody() {
-    let mut flight = Flight::start("bad-view", &[], SMALL_FLIGHT);
-    flight.wait_for("alpha confirmed");
+    let mut flight = Flight::with_poses("bad-view", &[], SMALL_FLIGHT);
     let view = View::of(&flight, &["--token", "open-sesame"]);
     let page = |path: &str| format!("GET {path} HTTP/1.1\r\nHost: localhost\r\n\r\n");
     let good = view.ask(page("/").as_bytes());
@@ -428,7 +430,5 @@ fn bad_requests_are_refused_and_harm_nobody() {
         }
         kill_process(view.process.pid(), Signal::KILL).expect("it runs");
     }
-    flight.signal(Signal::INT);
-    assert!(flight.wait().success(), "{}", flight.output());
-    flight.assert_nothing_left();
+    flight.end_by(Signal::INT);
 }

@@ -8,18 +8,18 @@ use flockeye_config::Resolved;
 use flockeye_contract::{Detections, Plans, Tracks};
 use flockeye_require::loopback::free_port;
 use flockeye_tables::sweep::Sweep;
-use flockeye_tests::{Flight, SMALL_FLIGHT, Scratch, WATCHDOG, onlooker, run};
+use flockeye_tests::{
+    Flight, SMALL_FLIGHT, Scratch, WATCHDOG, onlooker, run, small_flight, succeeds,
+};
 use rustix::process::{Signal, kill_process};
 use serde_json::Value;
 
 #[test]
 fn a_running_pipeline_is_watched_and_traced() {
-    let mut flight = Flight::start("watched", &[], SMALL_FLIGHT);
-    flight.wait_for("alpha confirmed");
+    let mut flight = Flight::with_poses("watched", &[], SMALL_FLIGHT);
     let name = flight.instance.name().to_owned();
 
-    let (is_well, said) = run(&["top", "--instance", &name, "--once", "--json"]);
-    assert!(is_well, "{said}");
+    let said = succeeds(&["top", "--instance", &name, "--once", "--json"]);
     let report: Value = serde_json::from_str(said.trim()).expect("one JSON object");
     let stages = report["stages"].as_array().expect("a list");
     let names: BTreeSet<&str> = stages.iter().filter_map(|stage| stage["stage"].as_str()).collect();
@@ -81,17 +81,14 @@ fn a_running_pipeline_is_watched_and_traced() {
     let (is_well, said) = run(&["trace", "--instance", &name, "--out", nowhere]);
     assert!(!is_well && said.contains("cannot write /nowhere/at/all.json"), "{said}");
 
-    flight.signal(Signal::INT);
-    assert!(flight.wait().success(), "{}", flight.output());
-    flight.assert_nothing_left();
+    flight.end_by(Signal::INT);
 }
 
 #[test]
 fn check_measures_how_soon_an_untracked_target_is_found() {
     let set = SMALL_FLIGHT.iter().flat_map(|set| ["--set", *set]);
     let arguments: Vec<&str> = ["check", "--measure", "3s"].into_iter().chain(set).collect();
-    let (is_well, said) = run(&arguments);
-    assert!(is_well, "{said}");
+    let said = succeeds(&arguments);
     let measured = said.lines().last().expect("a line");
     for part in ["measured ", "neighbours tracked", "each partition every ", " at most)"] {
         assert!(measured.contains(part), "no {part:?} in:\n{said}");
@@ -100,15 +97,13 @@ fn check_measures_how_soon_an_untracked_target_is_found() {
     assert!(!is_well && said.contains("no two frames were searched. Cure:"), "{said}");
 }
 
-/// Fusion is replaced and knows nobody: its neighbour is untracked and must be found as soon
-/// as the sphere is searched once, however slow the machine is. Nothing hides markers in this flight:
-/// each frame alone shows enough of it.
+/// Fusion is replaced and knows nobody: its neighbour is untracked and must be found as soon as the
+/// sphere is searched once, however slow the machine is. Nothing hides markers in this flight: each
+/// frame alone shows enough of it.
 #[test]
 fn an_untracked_target_is_found_before_the_sphere_is_searched_twice() {
-    let set: Vec<&str> =
-        SMALL_FLIGHT.iter().copied().chain(["simulator.airframes=false"]).collect();
-    let mut flight = Flight::start("untracked", &[], &set);
-    flight.wait_for("alpha confirmed");
+    let set = small_flight(&["simulator.airframes=false"]);
+    let mut flight = Flight::with_poses("untracked", &[], &set);
     let pipeline = flight.instance.pipeline().expect("it was written");
     let resolved = Resolved::of(pipeline).expect("the launcher resolved it too");
     let mut sweep = Sweep::of(&resolved).expect("it runs").expect("the mode roi sweeps");
@@ -120,8 +115,8 @@ fn an_untracked_target_is_found_before_the_sphere_is_searched_twice() {
     assert_eq!(fusion.len(), 1, "{fusion:?}");
     kill_process(fusion[0], Signal::KILL).expect("it runs");
     let start = Instant::now();
-    // The successor hears nothing of the frames that were searched while fusion was away: it looks for
-    // untracked targets from the first frame on that follows a plan of its own.
+    // The successor hears nothing of the frames that were searched while fusion was away: it looks
+    // for untracked targets from the first frame on that follows a plan of its own.
     let (mut asked, mut first, mut found) = (0, None, None);
     let mut look = || {
         assert!(start.elapsed() < WATCHDOG, "nobody is found:\n{}", flight.output());
@@ -151,9 +146,7 @@ fn an_untracked_target_is_found_before_the_sphere_is_searched_twice() {
     let report = sweep.report().expect("views were searched");
     assert!(waited <= report.partitions.worst_frames, "found after {waited} frames; {report}");
     drop((plans, records, tracks, ports));
-    flight.signal(Signal::INT);
-    assert!(flight.wait().success(), "{}", flight.output());
-    flight.assert_nothing_left();
+    flight.end_by(Signal::INT);
 }
 
 #[test]
@@ -185,8 +178,7 @@ fn asked(port: u16, path: &str) -> String {
 fn prometheus_gets_every_metric_that_the_dashboard_shows() {
     let port = free_port();
     let listen = format!("metrics.listen=127.0.0.1:{port}");
-    let mut flight = Flight::start("metrics", &[], &[SMALL_FLIGHT, &[&*listen]].concat());
-    flight.wait_for("alpha confirmed");
+    let mut flight = Flight::with_poses("metrics", &[], &[SMALL_FLIGHT, &[&*listen]].concat());
     let start = Instant::now();
     while !asked(port, "/ready").starts_with("HTTP/1.1 200") {
         assert!(start.elapsed() < WATCHDOG, "{}", flight.output());
@@ -222,15 +214,12 @@ fn prometheus_gets_every_metric_that_the_dashboard_shows() {
 
     // A pipeline that is held up is not ready.
     let instance = flight.instance.name().to_owned();
-    let (stopped, said) = run(&["stop", "simulator", "--instance", &instance]);
-    assert!(stopped, "{said}");
+    succeeds(&["stop", "simulator", "--instance", &instance]);
     while !asked(port, "/ready").starts_with("HTTP/1.1 503") {
         assert!(start.elapsed() < WATCHDOG, "{}", flight.output());
         std::thread::sleep(Duration::from_millis(100));
     }
-    flight.signal(Signal::TERM);
-    assert!(flight.wait().success(), "{}", flight.output());
-    flight.assert_nothing_left();
+    flight.end_by(Signal::TERM);
 }
 
 #[test]

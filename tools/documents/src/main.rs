@@ -1,6 +1,8 @@
-//! Writes the man pages and the shell completions of `flockeye` to a folder: `man/` and `completions/`.
+//! Writes the man pages and the shell completions of `flockeye` to a folder: `man/` and
+//! `completions/`.
 //!
-//! The commands of several programs are one command line for whoever types it, so here they are put together.
+//! The commands of several programs are one command line for whoever types it, so here they are put
+//! together.
 
 use std::fs;
 use std::path::{Path, PathBuf};

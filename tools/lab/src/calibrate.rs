@@ -12,10 +12,11 @@
 use std::ffi::OsString;
 
 use anyhow::Context;
-use flockeye_cli::{Configuration, signals};
+use flockeye_cli::{Configuration, Screen, signals};
 use flockeye_config::{Mount, Profile};
 use flockeye_tables::{TableRow, read};
 use nalgebra::Isometry3;
+use serde_json::Value;
 
 use crate::up_process;
 
@@ -26,9 +27,7 @@ pub mod lenses;
 pub mod mount;
 pub mod response;
 
-pub use body::CalibrateBodyArguments;
 pub use imu::CalibrateImuArguments;
-pub use lenses::CalibrateLensesArguments;
 pub use mount::CalibrateMountArguments;
 pub use response::CalibrateResponseArguments;
 
@@ -55,11 +54,8 @@ fn apart() -> [String; 2] {
     ["gateway.enabled=false".to_owned(), format!("instance=calibrate-{}", std::process::id())]
 }
 
-/// Runs `flockeye up`, and gives what it writes to the file of its option `option`. `what`: of what the run is, for a
-/// complaint where it is quiet.
-///
-/// # Errors
-/// It fails, or its file cannot be read.
+/// Runs `flockeye up`, and gives what it writes to the file of its option `option`. `what`: of what
+/// the run is, for a complaint where it is quiet.
 fn written<R: TableRow>(
     configuration: &Configuration,
     option: &str,
@@ -78,11 +74,23 @@ fn written<R: TableRow>(
     Ok(read(&file)?)
 }
 
+/// Prints what was found, as JSON or as text.
+fn show(
+    json: bool,
+    as_json: impl FnOnce() -> Value,
+    text: impl FnOnce() -> String,
+) -> anyhow::Result<()> {
+    let shown = if json { serde_json::to_string_pretty(&as_json())? } else { text() };
+    Screen::new().line(&shown);
+    Ok(())
+}
+
 /// A transform as a mount in `pipeline.yaml`.
 fn mount_of(transform: &Isometry3<f64>) -> Mount {
     // Division gives the shortest text; 0 is added so that no number is -0.
     let rounded = |number: f64, steps: f64| (number * steps).round() / steps + 0.0;
-    // The configured quaternion has a length of 1 to rounding; where w is negative, its opposite is the same.
+    // The configured quaternion has a length of 1 to rounding; where w is negative, its opposite is
+    // the same.
     let sign = if transform.rotation.w < 0.0 { -1.0 } else { 1.0 };
     let orientation = transform.rotation.coords * sign;
     Mount {

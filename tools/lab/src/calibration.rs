@@ -1,22 +1,23 @@
-//! Mathematics of calibration: where the parts of a drone really are, from recorded rays and rotations.
-//! The commands around it are in [`crate::calibrate`].
+//! Mathematics of calibration: where the parts of a drone really are, from recorded rays and
+//! rotations. The commands around it are in `calibrate`.
 //!
 //! | module | what it estimates |
 //! | --- | --- |
-//! | [`body`] | the poses of a body's markers, as they were glued |
-//! | [`mount`] | the pose of the camera on the drone |
-//! | [`lenses`] | the pose of a camera's second lens relative to the first |
-//! | [`sensor`] | mounting, time offset and bias of an inertial sensor |
+//! | `body` | the poses of a body's markers, as they were glued |
+//! | `mount` | the pose of the camera on the drone |
+//! | `lenses` | the pose of a camera's second lens relative to the first |
+//! | `sensor` | mounting, time offset and bias of an inertial sensor |
 
 mod adjust;
-pub mod body;
+pub(crate) mod body;
 mod descent;
+mod error;
 mod gauge;
-pub mod lenses;
+pub(crate) mod lenses;
 mod leverage;
-pub mod mount;
-pub mod sensor;
-mod sight;
+pub(crate) mod mount;
+pub(crate) mod sensor;
+mod weighted_ray;
 
+pub(crate) use error::CalibrationError;
 pub use gauge::alignment;
-pub use leverage::worst_error_m;

@@ -1,33 +1,27 @@
 //! The command line.
 
+use std::path::PathBuf;
+
 use clap::{CommandFactory, Parser, Subcommand};
-use flockeye_cli::lab;
+use flockeye_cli::{Configuration, lab};
 
 use crate::calibrate::{
-    self, CalibrateBodyArguments, CalibrateImuArguments, CalibrateLensesArguments,
-    CalibrateMountArguments, CalibrateResponseArguments,
+    self, CalibrateImuArguments, CalibrateMountArguments, CalibrateResponseArguments,
 };
 use crate::eval::{self, EvalArguments};
-use crate::experiment::{self, ExperimentArguments};
+use crate::experiment::{self, ExperimentKind};
 use crate::markers::{self, MarkersArguments};
 use crate::partition::{self, PartitionArguments};
 
+// The descriptions are in `flockeye_cli::lab`, because the help of `flockeye` shows them too.
 /// Flockeye's lab: it prepares runs and evaluates them.
 #[derive(Debug, Parser)]
 #[command(name = lab::PROGRAM, version)]
-struct Lab {
-    /// What to do.
-    #[command(subcommand)]
-    command: LabSubcommand,
-}
-
-// The descriptions are in `flockeye_cli::lab`, because the help of `flockeye` shows them too.
-#[derive(Debug, Subcommand)]
-enum LabSubcommand {
+enum Lab {
     #[command(about = lab::EVAL.about)]
     Eval(EvalArguments),
-    #[command(about = lab::EXPERIMENT.about)]
-    Experiment(ExperimentArguments),
+    #[command(subcommand, about = lab::EXPERIMENT.about)]
+    Experiment(ExperimentKind),
     #[command(about = lab::PARTITION.about)]
     Partition(PartitionArguments),
     #[command(about = lab::MARKERS.about)]
@@ -39,11 +33,28 @@ enum LabSubcommand {
 #[derive(Debug, Subcommand)]
 enum CalibrateSubcommand {
     /// Measure where a body's hand-glued markers really are.
-    Body(CalibrateBodyArguments),
+    Body {
+        /// Which configuration: the camera, the bodies as designed, and the recording as its
+        /// source.
+        #[command(flatten)]
+        configuration: Configuration,
+        /// Where to write the calibrated bodies: a JSON file for --bodies.
+        #[arg(long, value_name = "FILE.json")]
+        out: PathBuf,
+    },
     /// Measure where the camera sits on the drone, by a body at measured places.
     Mount(CalibrateMountArguments),
-    /// Measure how the camera's two lenses lie to each other, by a body that is carried across their seam.
-    Lenses(CalibrateLensesArguments),
+    /// Measure how the camera's two lenses lie to each other, by a body that is carried across
+    /// their seam.
+    Lenses {
+        /// Which configuration: the camera as it is believed to be, the bodies, and the recording
+        /// as its source.
+        #[command(flatten)]
+        configuration: Configuration,
+        /// For a program.
+        #[arg(long)]
+        json: bool,
+    },
     /// Measure how the inertial sensor lies to the camera, and its time offset.
     Imu(CalibrateImuArguments),
     /// Measure how late the camera's frames arrive, by the inertial sensor.
@@ -57,29 +68,23 @@ enum CalibrateSubcommand {
 /// # Errors
 /// As the command.
 pub fn run() -> anyhow::Result<()> {
-    match Lab::parse().command {
-        LabSubcommand::Eval(arguments) => eval::run(&arguments),
-        LabSubcommand::Experiment(arguments) => experiment::run(&arguments),
-        LabSubcommand::Partition(arguments) => partition::run(&arguments),
-        LabSubcommand::Markers(arguments) => markers::run(&arguments),
-        LabSubcommand::Calibrate(CalibrateSubcommand::Body(arguments)) => {
-            calibrate::body::run(&arguments)
-        }
-        LabSubcommand::Calibrate(CalibrateSubcommand::Mount(arguments)) => {
-            calibrate::mount::run(&arguments)
-        }
-        LabSubcommand::Calibrate(CalibrateSubcommand::Lenses(arguments)) => {
-            calibrate::lenses::run(&arguments)
-        }
-        LabSubcommand::Calibrate(CalibrateSubcommand::Imu(arguments)) => {
-            calibrate::imu::run(&arguments)
-        }
-        LabSubcommand::Calibrate(CalibrateSubcommand::Latency(arguments)) => {
-            calibrate::latency::run(&arguments)
-        }
-        LabSubcommand::Calibrate(CalibrateSubcommand::Response(arguments)) => {
-            calibrate::response::run(&arguments)
-        }
+    match Lab::parse() {
+        Lab::Eval(arguments) => eval::run(&arguments),
+        Lab::Experiment(kind) => experiment::run(&kind),
+        Lab::Partition(arguments) => partition::run(&arguments),
+        Lab::Markers(arguments) => markers::run(&arguments),
+        Lab::Calibrate(subcommand) => match subcommand {
+            CalibrateSubcommand::Body { configuration, out } => {
+                calibrate::body::run(&configuration, &out)
+            }
+            CalibrateSubcommand::Mount(arguments) => calibrate::mount::run(&arguments),
+            CalibrateSubcommand::Lenses { configuration, json } => {
+                calibrate::lenses::run(&configuration, json)
+            }
+            CalibrateSubcommand::Imu(arguments) => calibrate::imu::run(&arguments),
+            CalibrateSubcommand::Latency(arguments) => calibrate::latency::run(&arguments),
+            CalibrateSubcommand::Response(arguments) => calibrate::response::run(&arguments),
+        },
     }
 }
 

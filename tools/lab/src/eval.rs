@@ -8,7 +8,7 @@ use anyhow::{Context, ensure};
 use clap::Args;
 use flockeye_cli::Screen;
 use flockeye_tables::{ImuRow, PoseRow, RotationRow, TruthRow, read};
-use serde::Serialize;
+use serde_json::json;
 
 use crate::evaluation::Evaluation;
 use crate::evaluation::rotations::{RotationEvaluation, TrueRotation};
@@ -31,7 +31,8 @@ pub struct EvalArguments {
     /// The recorded rotations of the camera, against the attitudes of the truth or a gyroscope.
     #[arg(long, value_name = "FILE.csv")]
     pub rotations: Option<PathBuf>,
-    /// A gyroscope's samples, in the camera's axes, to compare rotations with: t_s, gx, gy, gz (s, rad/s).
+    /// A gyroscope's samples, in the camera's axes, to compare rotations with: t_s, gx, gy, gz (s,
+    /// rad/s).
     #[arg(long, value_name = "FILE.csv", requires = "rotations")]
     pub gyro: Option<PathBuf>,
     /// One JSON object instead of a table.
@@ -40,17 +41,6 @@ pub struct EvalArguments {
     /// Write a page with the paper's figures for this run, index.html, into this folder.
     #[arg(long, value_name = "DIR", requires = "poses")]
     pub report: Option<PathBuf>,
-}
-
-/// What is printed.
-#[derive(Debug, Serialize)]
-struct Results {
-    /// What is said of poses.
-    #[serde(flatten)]
-    poses: Option<Evaluation>,
-    /// What is said of rotations.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    rotations: Option<RotationEvaluation>,
 }
 
 /// Prints the comparison, and writes the report if one is asked for.
@@ -80,19 +70,20 @@ pub fn run(arguments: &EvalArguments) -> anyhow::Result<()> {
     }
     let rotations = arguments.rotations.as_deref();
     let rotations = rotations.map(|file| compare_rotations(file, arguments, &truth)).transpose()?;
-    let results =
-        Results { poses: poses.as_deref().map(|poses| Evaluation::of(poses, &truth)), rotations };
+    let evaluation = poses.as_deref().map(|poses| Evaluation::of(poses, &truth));
     let mut screen = Screen::new();
     if arguments.json {
-        screen.line(&serde_json::to_string(&results)?);
+        let mut json = evaluation.as_ref().map_or_else(|| Ok(json!({})), serde_json::to_value)?;
+        if let Some(rotations) = &rotations {
+            json["rotations"] = serde_json::to_value(rotations)?;
+        }
+        screen.line(&json.to_string());
     } else {
-        let Results { poses, rotations } = &results;
-        let poses = poses.as_ref().map(Evaluation::to_string);
+        let poses = evaluation.as_ref().map(Evaluation::to_string);
         let rotations = rotations.as_ref().map(RotationEvaluation::to_string);
         poses.iter().chain(&rotations).for_each(|text| screen.line(text));
     }
-    if let (Some(folder), Some(poses), Some(evaluation)) =
-        (&arguments.report, &poses, &results.poses)
+    if let (Some(folder), Some(poses), Some(evaluation)) = (&arguments.report, &poses, &evaluation)
     {
         let shown = |file: &Option<PathBuf>| {
             file.as_ref().map_or(String::new(), |file| file.display().to_string())

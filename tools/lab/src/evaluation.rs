@@ -92,9 +92,10 @@ pub struct FalsePose {
     pub rotation_deg: Option<f64>,
 }
 
-/// Exposure (in a lossless run: frame published) to pose published, milliseconds, of measured poses.
+/// Exposure (in a lossless run: frame published) to pose published, milliseconds, of measured
+/// poses.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Latency {
+pub struct LatencyQuantiles {
     /// Half of the poses are sooner.
     pub median_ms: f64,
     /// 95 % of the poses are sooner.
@@ -127,12 +128,13 @@ pub struct Evaluation {
     pub coasted: Coasted,
     /// Poses predicted for the time of sending; `None` where none reaches beyond its exposure.
     pub predictions: Option<Predictions>,
-    /// Measurements that are wrong by more than 10 cm or 10 degrees, or of a body that is not there.
+    /// Measurements that are wrong by more than 10 cm or 10 degrees, or of a body that is not
+    /// there.
     pub false_poses: usize,
     /// Where they are.
     pub false_at: Vec<FalsePose>,
     /// The latency of measured poses; `None` if there are none.
-    pub latency: Option<Latency>,
+    pub latency: Option<LatencyQuantiles>,
     /// Whether errors are as large as their covariances say.
     pub nees: Covariances,
 }
@@ -174,7 +176,7 @@ impl Evaluation {
             predictions: Predictions::of(poses, truth),
             false_poses: false_at.len(),
             false_at,
-            latency: Latency::of(&latencies),
+            latency: LatencyQuantiles::of(&latencies),
             nees: Covariances {
                 measurements: Consistency::of(&series(&measured, &truths, measurement_sample)),
                 tracks: Consistency::of(&series(&measured, &truths, track_sample)),
@@ -230,7 +232,8 @@ impl Bin {
 }
 
 impl FalsePose {
-    /// Checks the frame's own measurement if it was recorded, else the published pose. `None` if right.
+    /// Checks the frame's own measurement if it was recorded, else the published pose. `None` if
+    /// right.
     fn of(pose: &PoseRow, truth: Option<&TruthRow>) -> Option<Self> {
         let error =
             truth.map(|truth| measurement(pose, truth).unwrap_or_else(|| published(pose, truth)));
@@ -246,7 +249,7 @@ impl FalsePose {
     }
 }
 
-impl Latency {
+impl LatencyQuantiles {
     fn of(rising_ms: &[f64]) -> Option<Self> {
         Some(Self {
             median_ms: median(rising_ms)?,

@@ -1,5 +1,5 @@
-//! `flockeye experiment`: the paper's tables again, detectors side by side, and how consistent covariances are. Each
-//! flight is a lossless run of the whole pipeline, in an instance of its own.
+//! `flockeye experiment`: the paper's tables again, detectors side by side, and how consistent
+//! covariances are. Each flight is a lossless run of the whole pipeline, in an instance of its own.
 
 mod comparison;
 mod consistency;
@@ -9,7 +9,7 @@ mod partitions;
 mod photographs;
 mod search;
 
-use clap::{Args, Subcommand};
+use clap::Subcommand;
 use flockeye_cli::Screen;
 use serde::Serialize;
 
@@ -17,17 +17,9 @@ use comparison::ComparisonArguments;
 use consistency::ConsistencyArguments;
 use detectors::DetectorsArguments;
 
-/// Arguments of `experiment`.
-#[derive(Debug, Args)]
-pub struct ExperimentArguments {
-    /// Which experiment.
-    #[command(subcommand)]
-    kind: ExperimentKind,
-}
-
 /// The experiments.
 #[derive(Debug, Subcommand)]
-enum ExperimentKind {
+pub enum ExperimentKind {
     /// The paper's Table I: 6, 12 and 24 views, with its partitions and ours.
     Partitions(ComparisonArguments),
     /// The paper's Table II: how a frame is searched, its two ways and ours.
@@ -42,8 +34,8 @@ enum ExperimentKind {
 ///
 /// # Errors
 /// The configuration is wrong, there is no truth, or a flight fails.
-pub fn run(arguments: &ExperimentArguments) -> anyhow::Result<()> {
-    match &arguments.kind {
+pub fn run(kind: &ExperimentKind) -> anyhow::Result<()> {
+    match kind {
         ExperimentKind::Partitions(arguments) => show(&partitions::run(arguments)?, arguments.json),
         ExperimentKind::Search(arguments) => show(&search::run(arguments)?, arguments.json),
         ExperimentKind::Detectors(arguments) => {

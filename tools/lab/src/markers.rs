@@ -1,7 +1,7 @@
 //! `flockeye markers`: a body's facets on paper at true scale, to print, cut out and glue.
 
 mod layout;
-pub mod page;
+mod page;
 mod pdf;
 mod piece;
 mod svg;
@@ -14,7 +14,7 @@ use flockeye_cli::{Configuration, Screen};
 use flockeye_dictionary::Dictionary;
 use flockeye_geometry::body::Body;
 
-use page::{Page, Paper};
+use page::{Paper, PaperDrawing};
 
 /// Arguments of `markers`.
 #[derive(Debug, Args)]
@@ -54,12 +54,12 @@ pub fn run(arguments: &MarkersArguments) -> anyhow::Result<()> {
         anyhow::Ok(())
     };
     match path.extension().and_then(|extension| extension.to_str()) {
-        Some("pdf") => write(path, &pdf(&pages))?,
+        Some("pdf") => write(path, &pdf::document(&pages))?,
         // An SVG file holds one page.
-        Some("svg") if pages.len() == 1 => write(path, svg(&pages[0]).as_bytes())?,
+        Some("svg") if pages.len() == 1 => write(path, svg::document(&pages[0]).as_bytes())?,
         Some("svg") => {
             for (index, page) in pages.iter().enumerate() {
-                write(&numbered(path, index + 1), svg(page).as_bytes())?;
+                write(&numbered(path, index + 1), svg::document(page).as_bytes())?;
             }
         }
         _ => anyhow::bail!("{} must end in .pdf or .svg", path.display()),
@@ -75,12 +75,9 @@ fn numbered(path: &Path, number: usize) -> PathBuf {
 }
 
 /// The sheets of a body: each facet once, those with markers first.
-///
-/// # Errors
-/// A marker that the dictionary does not have, or a facet larger than the paper.
-pub fn sheets(body: &Body, dictionary: &Dictionary, paper: Paper) -> anyhow::Result<Vec<Page>> {
+fn sheets(body: &Body, dictionary: &Dictionary, paper: Paper) -> anyhow::Result<Vec<PaperDrawing>> {
     let pieces: anyhow::Result<Vec<_>> =
-        body.facets().iter().map(|facet| piece::Piece::of(facet, body, dictionary)).collect();
+        body.facets().iter().map(|facet| piece::piece(facet, body, dictionary)).collect();
     let sides = body.markers.iter().map(|marker| marker.side());
     let smallest = sides.clone().fold(f64::INFINITY, f64::min);
     let sizes = match body.largest_side() {
@@ -95,14 +92,4 @@ pub fn sheets(body: &Body, dictionary: &Dictionary, paper: Paper) -> anyhow::Res
         body.facets().len()
     );
     layout::pages(&pieces?, &title, paper)
-}
-
-/// The sheets as one PDF.
-pub fn pdf(pages: &[Page]) -> Vec<u8> {
-    pdf::document(pages)
-}
-
-/// One sheet as SVG.
-pub fn svg(page: &Page) -> String {
-    svg::document(page)
 }

@@ -14,15 +14,12 @@ use anyhow::Context;
 use flockeye_cli::Screen;
 use flockeye_geometry::partition::{Partition, PartitionError};
 
-pub use arguments::{PartitionArguments, PartitionMethod, ViewCounts};
+pub use arguments::PartitionArguments;
 use table::PartitionTable;
 
 /// Prints the table, and writes the drawings that are asked for.
-///
-/// # Errors
-/// The margin cannot be used, or a drawing cannot be written.
 pub fn run(arguments: &PartitionArguments) -> anyhow::Result<()> {
-    let partitions = arguments.counts.0.iter().map(|&count| find(arguments, count));
+    let partitions = arguments.counts.iter().map(|&count| find(arguments, count));
     let partitions = partitions.collect::<Result<Vec<_>, _>>()?;
     let table = PartitionTable::of(arguments, &partitions)?;
     if let Some(path) = &arguments.svg {
@@ -30,7 +27,8 @@ pub fn run(arguments: &PartitionArguments) -> anyhow::Result<()> {
     }
     Screen::new().line(&if arguments.json { table.to_json()? } else { table.to_string() });
     if let Some(path) = &arguments.picture {
-        // The first that has views with this margin. If none has, the first one's error is reported.
+        // The first that has views with this margin. If none has, the first one's error is
+        // reported.
         let mut pictures =
             partitions.iter().map(|p| picture::draw(p, arguments.margin.to_radians()));
         let first = pictures.next().context("there is no partition to draw")?;
@@ -42,7 +40,7 @@ pub fn run(arguments: &PartitionArguments) -> anyhow::Result<()> {
 
 /// The partition of `count` views that the arguments ask for. Logs the time if it is computed.
 fn find(arguments: &PartitionArguments, count: usize) -> Result<Partition, PartitionError> {
-    let method = arguments.method.into();
+    let method = arguments.method;
     if !arguments.compute {
         return Partition::of(method, count, arguments.seed);
     }

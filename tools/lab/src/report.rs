@@ -13,16 +13,12 @@ use nalgebra::Vector3;
 
 use crate::evaluation::{Evaluation, measurement, published};
 use chart::{Axis, Chart, ChartSeries, Mark};
-use flight_path::FlightPath;
 
 /// Dots and corners of lines in a figure are thinned to about so many.
 const MOST_POINTS: usize = 2_000;
 
-/// Writes `index.html` into a folder, which is made if it is not there, and gives its path. `source`
-/// says what was compared.
-///
-/// # Errors
-/// The folder or the file cannot be written.
+/// Writes `index.html` into a folder, which is made if it is not there, and gives its path.
+/// `source` says what was compared.
 pub fn write(
     folder: &Path,
     source: &str,
@@ -33,7 +29,7 @@ pub fn write(
     let bodies: BTreeSet<&str> = truth.iter().map(|row| row.body.as_str()).collect();
     let figures: Vec<_> = bodies
         .into_iter()
-        .map(|body| (body, figures(&BodyHihistory::of(body, poses, truth))))
+        .map(|body| (body, figures(&BodyHistory::of(body, poses, truth))))
         .collect();
     let file = folder.join("index.html");
     std::fs::create_dir_all(folder)
@@ -44,7 +40,7 @@ pub fn write(
 }
 
 /// The truth and the poses of one body, frame by frame.
-struct BodyHihistory<'a> {
+struct BodyHistory<'a> {
     body: &'a str,
     truth: Vec<&'a TruthRow>,
     /// Measured, with the truth where it is known.
@@ -52,7 +48,7 @@ struct BodyHihistory<'a> {
     coasted: Vec<&'a PoseRow>,
 }
 
-impl<'a> BodyHihistory<'a> {
+impl<'a> BodyHistory<'a> {
     fn of(body: &'a str, poses: &'a [PoseRow], truth: &'a [TruthRow]) -> Self {
         let mut truth: Vec<_> = truth.iter().filter(|row| row.body == body).collect();
         truth.sort_by_key(|row| row.frame);
@@ -88,7 +84,7 @@ fn dots(name: &'static str, class: &'static str, points: &[(f64, f64)]) -> Chart
 }
 
 /// The drawings of a body, with their captions.
-fn figures(history: &BodyHihistory<'_>) -> Vec<(String, String)> {
+fn figures(history: &BodyHistory<'_>) -> Vec<(String, String)> {
     let time = |series: &[ChartSeries]| Axis::even(numbers(series, |point| point.0), 0.1);
     let over_time = |what: &str, height: f64, number: fn(&Vector3<f64>) -> f64| {
         let series = history.over_time(number);
@@ -109,10 +105,9 @@ fn figures(history: &BodyHihistory<'_>) -> Vec<(String, String)> {
         };
         over_time(name, 230.0, number)
     });
-    let path = FlightPath {
-        truth: thinned(&history.truth, |row| row.frame, |row| row.position()),
-        measured: thinned(&history.measured, |(pose, _)| pose.frame, |(pose, _)| pose.position),
-    };
+    let true_path = thinned(&history.truth, |row| row.frame, |row| row.position());
+    let measured_path =
+        thinned(&history.measured, |(pose, _)| pose.frame, |(pose, _)| pose.position);
     vec![
         (
             over_time("distance", 340.0, Vector3::norm),
@@ -125,7 +120,7 @@ fn figures(history: &BodyHihistory<'_>) -> Vec<(String, String)> {
             "Position along each axis of the observer: x forward, y left, z up.".to_owned(),
         ),
         (
-            flight_path::draw(history.body, &path),
+            flight_path::draw(history.body, &true_path, &measured_path),
             "Flight path relative to the observer, who is where the axes meet (the paper: 3D flight \
              path relative to the observing drone)."
                 .to_owned(),
@@ -137,7 +132,7 @@ fn figures(history: &BodyHihistory<'_>) -> Vec<(String, String)> {
     ]
 }
 
-fn error_against_distance(history: &BodyHihistory<'_>) -> String {
+fn error_against_distance(history: &BodyHistory<'_>) -> String {
     let mut of_frames = Vec::new();
     let mut of_tracks = Vec::new();
     for (pose, truth) in &history.measured {

@@ -87,7 +87,8 @@ fn wait(child: &mut Child, stopping: &AtomicBool) -> anyhow::Result<ExitStatus> 
         }
         if stopping.load(Ordering::Relaxed) && !is_asked {
             is_asked = true;
-            // The process may have ended in between, and Ctrl-C on a terminal has reached it already.
+            // The process may have ended in between, and Ctrl-C on a terminal has reached it
+            // already.
             let _ = kill_process(Pid::from_child(child), Signal::INT);
         }
         std::thread::sleep(Duration::from_millis(20));

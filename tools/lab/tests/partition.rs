@@ -1,7 +1,7 @@
 //! `flockeye partition` as a user runs it.
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 
-use flockeye_geometry::partition::BEST_KNOWN_DEG;
+use flockeye_geometry::fixtures::BEST_KNOWN_DEG;
 use std::path::PathBuf;
 use std::process::{Command, Output, Stdio};
 

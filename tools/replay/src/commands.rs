@@ -3,39 +3,29 @@
 use std::path::PathBuf;
 use std::process::ExitCode;
 
-use clap::{Args, CommandFactory, Parser, Subcommand, ValueEnum};
+use clap::{CommandFactory, Parser, ValueEnum};
 use flockeye_cli::replay::{EXPLAIN, PROGRAM, REPLAY};
 
 use crate::explain::asked::ExplainArguments;
 use crate::{explain, replay};
 
+// The descriptions are in `flockeye_cli::replay`, because the help of `flockeye` shows them too.
 /// Replays stages of recorded flights, and explains what they decided.
 #[derive(Debug, Parser)]
 #[command(name = PROGRAM, version)]
-struct Replay {
-    /// What to do.
-    #[command(subcommand)]
-    command: ReplayCommand,
-}
-
-// The descriptions are in `flockeye_cli::replay`, because the help of `flockeye` shows them too.
-#[derive(Debug, Subcommand)]
 enum ReplayCommand {
     #[command(about = REPLAY.about)]
-    Replay(ReplayArguments),
+    Replay {
+        /// A recording with its views, from the first frame on: recording.folder, with
+        /// recording.frames: views.
+        #[arg(value_name = "FILE.mcap")]
+        file: PathBuf,
+        /// The stage.
+        #[arg(long, value_enum, default_value_t = ReplayedStage::Fusion)]
+        stage: ReplayedStage,
+    },
     #[command(about = EXPLAIN.about)]
     Explain(ExplainArguments),
-}
-
-/// Arguments of `replay`.
-#[derive(Debug, Args)]
-struct ReplayArguments {
-    /// A recording with its views, from the first frame on: recording.folder, with recording.frames: views.
-    #[arg(value_name = "FILE.mcap")]
-    file: PathBuf,
-    /// The stage.
-    #[arg(long, value_enum, default_value_t = ReplayedStage::Fusion)]
-    stage: ReplayedStage,
 }
 
 /// A stage that can be replayed.
@@ -47,8 +37,8 @@ enum ReplayedStage {
 
 /// Reads the command line and does what it asks for. A replay that differs fails.
 pub fn run() -> ExitCode {
-    let (command, outcome) = match Replay::parse().command {
-        ReplayCommand::Replay(ReplayArguments { file, stage: ReplayedStage::Fusion }) => {
+    let (command, outcome) = match ReplayCommand::parse() {
+        ReplayCommand::Replay { file, stage: ReplayedStage::Fusion } => {
             (REPLAY, replay::report(&file))
         }
         ReplayCommand::Explain(arguments) => (EXPLAIN, explain::main(&arguments).map(|()| true)),
@@ -65,7 +55,7 @@ pub fn run() -> ExitCode {
 
 /// The command line.
 pub fn command() -> clap::Command {
-    Replay::command()
+    ReplayCommand::command()
 }
 
 #[cfg(test)]
@@ -76,7 +66,7 @@ mod tests {
     #[test]
     fn the_command_line_is_well_formed() {
         command().debug_assert();
-        let parse = |words: &[&str]| Replay::try_parse_from([&["flockeye"], words].concat());
+        let parse = |words: &[&str]| ReplayCommand::try_parse_from([&["flockeye"], words].concat());
         assert!(parse(&["replay", "a.mcap", "--stage", "fusion"]).is_ok());
         assert!(parse(&["replay"]).is_err());
         assert!(parse(&["replay", "a.mcap", "--stage", "gateway"]).is_err());

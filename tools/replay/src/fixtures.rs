@@ -1,6 +1,6 @@
 //! Frames that tests make up: those of fusion's own tests.
 
-use flockeye_fusion::{MeasuredBy, Measurement, PoseEstimate, Record};
+use flockeye_fusion::{PoseMeasurement, Record};
 
 pub use self::scene::*;
 

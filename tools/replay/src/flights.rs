@@ -7,19 +7,17 @@ use std::sync::OnceLock;
 use flockeye_config::{Pipeline, Resolved};
 use flockeye_contract::{DetectionHeader, FrameOrder, Rotation, RotationSource};
 use flockeye_fusion::{
-    AccountEntry, BackgroundRunner, Configured, Event, Journal, Journaled, Record, Writer,
-    configured,
+    AccountEntry, BackgroundRunner, Core, Event, Journal, Record, Writer, configured,
 };
-use flockeye_recording::ContractMessage;
 
 use crate::fixtures::{INTERVAL_S, pose, region_end, region_record, region_view, shown, stamp};
-use crate::recorded::{Message, RecordedPixels};
+use crate::recorded::{FlightMessage, RecordedPixels, contract_message};
 
 /// Time from the exposure of a frame to its messages, nanoseconds.
 const DELAY_NS: i64 = 20_000_000;
 
 /// A recorded message, and when it was recorded.
-pub type Recording = Vec<(Message, u64)>;
+pub type Recording = Vec<(FlightMessage, u64)>;
 
 pub fn resolved() -> Resolved {
     Resolved::of(Pipeline::parse("", &[], "a test").unwrap()).unwrap()
@@ -27,7 +25,7 @@ pub fn resolved() -> Resolved {
 
 /// Fusion in flight, driven as by its stage, and its recording.
 pub struct Flown {
-    core: Journaled<RecordedPixels>,
+    core: Core<RecordedPixels>,
     writer: Writer,
     background: BackgroundRunner,
     now_ns: i64,
@@ -36,14 +34,14 @@ pub struct Flown {
 
 impl Flown {
     fn begin() -> Self {
-        let Configured { mut core, writer, aligner, .. } = configured(&resolved(), 0).unwrap();
+        let (mut core, writer, aligner) = configured(&resolved(), 0).unwrap();
         core.keep_account(0);
         let mut journal = Journal::new(0, false);
         journal.listen(true);
         let mut flown = Self {
-            core: Journaled::new(core, journal),
+            core: core.journaled(journal),
             writer,
-            background: BackgroundRunner::inline(aligner),
+            background: BackgroundRunner::inline(aligner.unwrap()),
             now_ns: stamp(0).exposure_ns,
             recording: Recording::new(),
         };
@@ -51,17 +49,17 @@ impl Flown {
         flown
     }
 
-    fn record(&mut self, message: Message) {
+    fn record(&mut self, message: FlightMessage) {
         self.recording.push((message, self.now_ns as u64));
     }
 
     fn hear(&mut self, event: Event<RecordedPixels>) {
         self.now_ns += 1_000;
         self.record(match &event {
-            Event::View(header, pixels) => Message::View(*header, pixels.clone()),
-            Event::Searched(record) => Message::Searched(record.clone()),
-            Event::FrameEnd(end) => Message::FrameEnd(*end),
-            Event::Rotation(rotation) => Message::Rotation(*rotation),
+            Event::View(header, pixels) => FlightMessage::View(*header, pixels.clone()),
+            Event::Searched(record) => FlightMessage::Searched(record.clone()),
+            Event::FrameEnd(end) => FlightMessage::FrameEnd(*end),
+            Event::Rotation(rotation) => FlightMessage::Rotation(*rotation),
             Event::Background(_) => panic!("it is not recorded"),
         });
         assert_eq!(self.core.on(event, self.now_ns), None);
@@ -79,18 +77,18 @@ impl Flown {
                 let (header, tracks) =
                     self.writer.tracks(message, self.core.tracker(), self.now_ns);
                 let bytes = contract_message(&header, &tracks);
-                self.record(Message::Tracks(header, tracks, bytes));
+                self.record(FlightMessage::Tracks(header, tracks, bytes));
             }
             if let Some((next, after)) = &outputs.plan {
                 let (header, views) = self.writer.plan(next, *after, self.now_ns);
                 let bytes = contract_message(&header, &views);
-                self.record(Message::Plan(header, views, bytes));
+                self.record(FlightMessage::Plan(header, views, bytes));
             }
             if let Some(job) = outputs.job.take() {
                 self.background.run(job).unwrap();
             }
-            if let Some((header, entries)) = self.core.journal().take(is_idle) {
-                self.record(Message::Journal(header, entries));
+            if let Some((header, entries)) = self.core.journal().unwrap().take(is_idle) {
+                self.record(FlightMessage::Journal(header, entries));
             }
             if is_idle {
                 return;
@@ -122,17 +120,6 @@ impl Flown {
     fn end(&mut self, sequence: u64) {
         self.hear(Event::FrameEnd(region_end(sequence, 0, 1)));
         self.work();
-    }
-}
-
-fn contract_message<H: bytemuck::Pod, I: bytemuck::Pod>(
-    header: &H,
-    items: &[I],
-) -> ContractMessage {
-    ContractMessage {
-        header: bytemuck::bytes_of(header).to_vec(),
-        items: bytemuck::cast_slice(items).to_vec(),
-        payload_bytes: 0,
     }
 }
 
@@ -168,7 +155,8 @@ fn followed() -> Flown {
     flown
 }
 
-/// Alpha is followed, then not seen in frame 5 and sought in the background; the answer comes during frame 6.
+/// Alpha is followed, then not seen in frame 5 and sought in the background; the answer comes
+/// during frame 6.
 pub fn flown_on() -> Recording {
     continued().recording
 }
@@ -192,7 +180,7 @@ fn continued() -> Flown {
 
 /// Flies on, with an account of what was decided of alpha.
 pub fn flown_on_with_account() -> (Recording, Vec<(FrameOrder, AccountEntry)>) {
-    let flown = continued();
-    let account = flown.core.tracker().account().to_vec();
+    let mut flown = continued();
+    let account = flown.core.take_account();
     (flown.recording, account)
 }

@@ -1,5 +1,5 @@
-//! Work on recorded flights: `flockeye replay` gives a stage again what it got, and `flockeye explain` says what it
-//! decided in a frame, and why.
+//! Work on recorded flights: `flockeye replay` gives a stage again what it got, and `flockeye
+//! explain` says what it decided in a frame, and why.
 //!
 //! | module | what it does |
 //! | --- | --- |

@@ -5,7 +5,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use anyhow::{Context, bail, ensure};
-use bytemuck::{AnyBitPattern, pod_read_unaligned};
+use bytemuck::{AnyBitPattern, Pod, pod_read_unaligned};
 use flockeye_config::{Pipeline, Resolved};
 use flockeye_contract::{
     BodyTruth, Detections, FrameEnd, FrameEnds, FrameHeader, Frames, JournalEntry, JournalHeader,
@@ -17,9 +17,10 @@ use flockeye_recording::channel::{LOSSES, VIEW_IMAGES};
 use flockeye_recording::images::decode_image;
 use flockeye_recording::losses::decode_loss;
 use flockeye_recording::message::decode;
-use flockeye_recording::{ContractMessage, Ending, Reader, RecordedMessage, TopicLayout, layouts};
+use flockeye_recording::{
+    ContractMessage, Ending, RecordedMessage, RecordingReader, TopicLayout, layouts,
+};
 
-use flockeye_fusion::Pixels;
 use flockeye_fusion::Record;
 
 /// The pixels of a recorded view.
@@ -32,8 +33,8 @@ impl From<Vec<u8>> for RecordedPixels {
     }
 }
 
-impl Pixels for RecordedPixels {
-    fn pixels(&self) -> &[u8] {
+impl AsRef<[u8]> for RecordedPixels {
+    fn as_ref(&self) -> &[u8] {
         &self.0
     }
 }
@@ -41,16 +42,15 @@ impl Pixels for RecordedPixels {
 /// One message.
 #[derive(Debug, Clone)]
 #[allow(clippy::large_enum_variant, reason = "one at a time, on the stack")]
-pub enum Message {
+pub enum FlightMessage {
     /// A frame; its pixels are not read.
     Frame(FrameHeader),
-    /// A view whose pixels are not in the recording, or come with [`Message::View`].
+    /// A view whose pixels are not in the recording, or come with [`FlightMessage::View`].
     Header(ViewHeader),
     /// A view with its pixels.
     View(ViewHeader, RecordedPixels),
     /// The markers of a view.
     Searched(Record),
-    /// The end of a frame.
     FrameEnd(FrameEnd),
     /// How the camera has turned.
     Rotation(Rotation),
@@ -64,18 +64,12 @@ pub enum Message {
     Truth(TruthHeader, Vec<BodyTruth>),
 }
 
-/// Messages of a topic that a recording lacks, or may lack.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct LostMessages {
-    /// The topic.
-    pub topic: String,
-    /// Their number.
-    pub messages: u64,
-}
+/// Topics of which a recording lacks messages, or may lack them, with the number of these.
+pub type LostMessages = Vec<(String, u64)>;
 
 /// A recording that is being read, with all its files where it was split.
 pub struct RecordedFlight {
-    reader: Reader,
+    reader: RecordingReader,
     layouts: Vec<TopicLayout>,
     /// The header of a view whose pixels come next, and its number.
     view: Option<(u32, ViewHeader)>,
@@ -84,11 +78,8 @@ pub struct RecordedFlight {
 
 impl RecordedFlight {
     /// Opens a recording.
-    ///
-    /// # Errors
-    /// The file is no recording, or cannot be read.
     pub fn open(path: &Path) -> anyhow::Result<Self> {
-        let reader = Reader::open(path)?;
+        let reader = RecordingReader::open(path)?;
         Ok(Self { reader, layouts: layouts(), view: None, lost: BTreeMap::new() })
     }
 
@@ -108,9 +99,9 @@ impl RecordedFlight {
     }
 
     /// Messages that it lacks, as far as it was read.
-    pub fn lost(&self) -> Vec<LostMessages> {
+    pub fn lost(&self) -> LostMessages {
         let lost = self.lost.iter().filter(|(_, messages)| **messages > 0);
-        lost.map(|(topic, &messages)| LostMessages { topic: topic.clone(), messages }).collect()
+        lost.map(|(topic, &messages)| (topic.clone(), messages)).collect()
     }
 
     fn attachment(&self, name: &str) -> Option<&[u8]> {
@@ -119,8 +110,8 @@ impl RecordedFlight {
         found.map(|(_, _, bytes)| bytes.as_slice())
     }
 
-    /// The configuration of the recorded pipeline, with the bodies as they were. Where the files that it names say
-    /// something else by now, or are gone, the recording's own bodies count.
+    /// The configuration of the recorded pipeline, with the bodies as they were. Where the files
+    /// that it names say something else by now, or are gone, the recording's own bodies count.
     ///
     /// # Errors
     /// There is no configuration, or it cannot be worked with any more.
@@ -160,8 +151,9 @@ impl RecordedFlight {
     /// The next message that counts, and when it was recorded, UTC nanoseconds; `None` at the end.
     ///
     /// # Errors
-    /// The recording is damaged, or a message breaks the contract: a recording may have been changed.
-    pub fn next_message(&mut self) -> anyhow::Result<Option<(Message, u64)>> {
+    /// The recording is damaged, or a message breaks the contract: a recording may have been
+    /// changed.
+    pub fn next_message(&mut self) -> anyhow::Result<Option<(FlightMessage, u64)>> {
         loop {
             while let Some(message) = self.reader.next_message()? {
                 let utc_ns = message.utc_ns;
@@ -178,7 +170,7 @@ impl RecordedFlight {
         }
     }
 
-    fn understood(&mut self, message: &RecordedMessage) -> anyhow::Result<Option<Message>> {
+    fn understood(&mut self, message: &RecordedMessage) -> anyhow::Result<Option<FlightMessage>> {
         let topic = message.channel.topic.as_str();
         if topic == VIEW_IMAGES {
             return self.view(message).map(Some);
@@ -193,52 +185,57 @@ impl RecordedFlight {
         let Some(layout) = self.layouts.iter().find(is_of) else { return Ok(None) };
         let found = || decode(layout, &message.bytes);
         Ok(Some(match layout.service {
-            <Frames as Topic>::NAME => Message::Frame(header(&found()?)),
+            <Frames as Topic>::NAME => FlightMessage::Frame(header(&found()?)),
             <Views as Topic>::NAME => {
                 let header: ViewHeader = header(&found()?);
                 self.view = Some((message.sequence, header));
-                Message::Header(header)
+                FlightMessage::Header(header)
             }
             <Detections as Topic>::NAME => {
                 let (header, markers) = checked::<Detections>(&found()?)?;
-                Message::Searched(Record { header, markers })
+                FlightMessage::Searched(Record { header, markers })
             }
-            <Rotations as Topic>::NAME => Message::Rotation(checked::<Rotations>(&found()?)?.0),
-            <FrameEnds as Topic>::NAME => Message::FrameEnd(checked::<FrameEnds>(&found()?)?.0),
+            <Rotations as Topic>::NAME => {
+                FlightMessage::Rotation(checked::<Rotations>(&found()?)?.0)
+            }
+            <FrameEnds as Topic>::NAME => {
+                FlightMessage::FrameEnd(checked::<FrameEnds>(&found()?)?.0)
+            }
             <Tracks as Topic>::NAME => {
                 let found = found()?;
                 let (header, tracks) = checked::<Tracks>(&found)?;
-                Message::Tracks(header, tracks, found)
+                FlightMessage::Tracks(header, tracks, found)
             }
             <Plans as Topic>::NAME => {
                 let found = found()?;
                 let (header, views) = checked::<Plans>(&found)?;
-                Message::Plan(header, views, found)
+                FlightMessage::Plan(header, views, found)
             }
             <Journals as Topic>::NAME => {
                 let (header, entries) = checked::<Journals>(&found()?)?;
-                Message::Journal(header, entries)
+                FlightMessage::Journal(header, entries)
             }
             <Truths as Topic>::NAME => {
                 let (header, bodies) = checked::<Truths>(&found()?)?;
-                Message::Truth(header, bodies)
+                FlightMessage::Truth(header, bodies)
             }
             _ => return Ok(None),
         }))
     }
 
-    fn view(&mut self, message: &RecordedMessage) -> anyhow::Result<Message> {
+    fn view(&mut self, message: &RecordedMessage) -> anyhow::Result<FlightMessage> {
         let Some((sequence, header)) = self.view.take() else {
             bail!("pixels of a view without its header");
         };
         ensure!(sequence == message.sequence, "pixels of a view without its header");
         let pixels = decode_image(VIEW_IMAGES, &message.bytes)?.pixels;
         refuse_if_wrong::<Views>(&header, pixels)?;
-        Ok(Message::View(header, RecordedPixels(pixels.into())))
+        Ok(FlightMessage::View(header, RecordedPixels(pixels.into())))
     }
 }
 
-/// Whether two sets of bodies are the same but for the rounding of numbers that were written as text.
+/// Whether two sets of bodies are the same but for the rounding of numbers that were written as
+/// text.
 fn is_alike(one: &Bodies, other: &Bodies) -> bool {
     const ROUNDING: f64 = 1e-9;
     let mut pairs = one.iter().zip(other.iter());
@@ -275,6 +272,15 @@ fn refuse_if_wrong<T: Topic>(header: &T::Header, items: &[T::Item]) -> anyhow::R
     T::check(header, items).with_context(|| {
         format!("a recorded message of {} breaks the contract. Cure: record anew", T::NAME)
     })
+}
+
+/// A message that is no longer in shared memory.
+pub fn contract_message<H: Pod, I: Pod>(header: &H, items: &[I]) -> ContractMessage {
+    ContractMessage {
+        header: bytemuck::bytes_of(header).to_vec(),
+        items: bytemuck::cast_slice(items).to_vec(),
+        payload_bytes: 0,
+    }
 }
 
 /// A message's header.

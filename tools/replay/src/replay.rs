@@ -1,8 +1,10 @@
-//! Gives the core of fusion what it got in a recorded flight, and compares what it gives with what it gave.
+//! Gives the core of fusion what it got in a recorded flight, and compares what it gives with what
+//! it gave.
 //!
-//! The output of the core depends on its messages, their order, and the times of its calls. Its journal has all of that,
-//! so a flight in real time is repeated like any other: each entry is one call of the core. A background pass
-//! runs at once, and its answer counts where the journal says so.
+//! The output of the core depends on its messages, their order, and the times of its calls. Its
+//! journal has all of that, so a flight in real time is repeated like any other: each entry is one
+//! call of the core. A background pass runs at once, and its answer counts where the journal says
+//! so.
 
 mod compared;
 mod script;
@@ -18,12 +20,12 @@ use flockeye_recording::Ending;
 
 pub use self::script::{NO_JOURNAL, names_message};
 
-use self::compared::Comparison;
-use self::script::{Next, Script};
-use crate::recorded::{LostMessages, Message, RecordedFlight, RecordedPixels};
+use self::compared::MessageComparison;
+use self::script::{NextCall, Script};
+use crate::recorded::{FlightMessage, LostMessages, RecordedFlight, RecordedPixels};
 use flockeye_fusion::BackgroundRunner;
 use flockeye_fusion::Writer;
-use flockeye_fusion::{Configured, configured};
+use flockeye_fusion::configured;
 use flockeye_fusion::{Core, Event, Outputs};
 
 /// The result of a replay, for people.
@@ -44,17 +46,18 @@ pub struct ReplayReport {
     /// Messages of fusion that were recorded and not compared.
     pub left: u64,
     /// What the recording lacks, or may lack.
-    pub lost: Vec<LostMessages>,
+    pub lost: LostMessages,
 }
 
 /// Replays a recording with its views (`flockeye record --frames views`).
 ///
 /// # Errors
-/// It has no journal from fusion's beginning on, or no pixels, or its configuration cannot be worked with any more.
+/// It has no journal from fusion's beginning on, or no pixels, or its configuration cannot be
+/// worked with any more.
 pub fn replay(path: &Path) -> anyhow::Result<ReplayReport> {
     let mut recorded = RecordedFlight::open(path)?;
     let resolved = recorded.configuration()?;
-    let mut replay = Replay::new(&resolved)?;
+    let mut replay = FusionReplay::new(&resolved)?;
     while let Some((message, utc_ns)) = recorded.next_message()? {
         replay.on(message, utc_ns, |_, _| {}).with_context(|| path.display().to_string())?;
     }
@@ -64,9 +67,6 @@ pub fn replay(path: &Path) -> anyhow::Result<ReplayReport> {
 }
 
 /// Replays a recording and prints the result. Returns whether all compared messages are the same.
-///
-/// # Errors
-/// As [`replay`].
 pub fn report(path: &Path) -> anyhow::Result<bool> {
     let replayed = replay(path)?;
     print!("{replayed}");
@@ -109,13 +109,13 @@ impl std::fmt::Display for ReplayReport {
 }
 
 /// Lost messages, as text.
-fn said(lost: &[LostMessages]) -> String {
-    let of_topic = |LostMessages { topic, messages }: &LostMessages| format!("{topic} {messages}");
+fn said(lost: &[(String, u64)]) -> String {
+    let of_topic = |(topic, messages): &(String, u64)| format!("{topic} {messages}");
     lost.iter().map(of_topic).collect::<Vec<_>>().join(", ")
 }
 
 /// The core of fusion, and the messages that it got.
-pub struct Replay {
+pub struct FusionReplay {
     core: Core<RecordedPixels>,
     writer: Writer,
     background: Option<BackgroundRunner>,
@@ -124,27 +124,24 @@ pub struct Replay {
     script: Script,
     /// Output of the last step, until the journal has the time when it was sent.
     unsaid: Outputs,
-    compared: Comparison,
+    compared: MessageComparison,
     /// The newest frame that has ended.
     ended: Option<FrameOrder>,
     replayed: ReplayReport,
 }
 
-impl Replay {
+impl FusionReplay {
     /// Begins before the first message.
-    ///
-    /// # Errors
-    /// The configuration cannot be worked with.
     pub fn new(resolved: &Resolved) -> anyhow::Result<Self> {
-        let Configured { core, writer, aligner, has_background } = configured(resolved, 0)?;
+        let (core, writer, aligner) = configured(resolved, 0)?;
         Ok(Self {
             core,
             writer,
-            background: has_background.then(|| BackgroundRunner::inline(aligner)),
+            background: aligner.map(BackgroundRunner::inline),
             lacks_pixels: false,
             script: Script::default(),
             unsaid: Outputs::default(),
-            compared: Comparison::new()?,
+            compared: MessageComparison::new()?,
             ended: None,
             replayed: ReplayReport::default(),
         })
@@ -175,46 +172,51 @@ impl Replay {
         self.ended >= Some(order) && self.compared.is_done()
     }
 
-    /// Takes a message of the recording. `before` is called before each entry of the journal that counts now.
-    ///
-    /// # Errors
-    /// The recording cannot be replayed.
+    /// Takes a message of the recording. `before` is called before each entry of the journal that
+    /// counts now.
     pub fn on(
         &mut self,
-        message: Message,
+        message: FlightMessage,
         utc_ns: u64,
         before: impl FnMut(&Core<RecordedPixels>, &JournalEntry),
     ) -> anyhow::Result<()> {
         if !self.is_under_way() {
             let is_said = matches!(
                 message,
-                Message::Tracks(TrackHeader { generation: 0, .. }, ..)
-                    | Message::Plan(PlanHeader { generation: 0, .. }, ..)
+                FlightMessage::Tracks(TrackHeader { generation: 0, .. }, ..)
+                    | FlightMessage::Plan(PlanHeader { generation: 0, .. }, ..)
             );
             self.replayed.left += u64::from(is_said);
             return Ok(());
         }
         match message {
-            Message::Header(_) => {
+            FlightMessage::Header(_) => {
                 self.needs_no_pixels()?;
                 self.lacks_pixels = true;
             }
-            Message::View(header, pixels) => {
+            FlightMessage::View(header, pixels) => {
                 self.lacks_pixels = false;
                 self.script.hear(Event::View(header, pixels), utc_ns)?;
             }
-            Message::Searched(record) => self.script.hear(Event::Searched(record), utc_ns)?,
-            Message::Rotation(rotation) => self.script.hear(Event::Rotation(rotation), utc_ns)?,
-            Message::FrameEnd(end) => self.script.hear(Event::FrameEnd(end), utc_ns)?,
-            Message::Journal(header, entries) => self.script.note(&header, &entries, utc_ns)?,
+            FlightMessage::Searched(record) => self.script.hear(Event::Searched(record), utc_ns)?,
+            FlightMessage::Rotation(rotation) => {
+                self.script.hear(Event::Rotation(rotation), utc_ns)?
+            }
+            FlightMessage::FrameEnd(end) => self.script.hear(Event::FrameEnd(end), utc_ns)?,
+            FlightMessage::Journal(header, entries) => {
+                self.script.note(&header, &entries, utc_ns)?
+            }
             // Messages of a successor are not compared.
-            Message::Tracks(header, _, bytes) if header.generation == 0 => {
+            FlightMessage::Tracks(header, _, bytes) if header.generation == 0 => {
                 self.compared.tracks.record(bytes);
             }
-            Message::Plan(header, _, bytes) if header.generation == 0 => {
+            FlightMessage::Plan(header, _, bytes) if header.generation == 0 => {
                 self.compared.plans.record(bytes);
             }
-            Message::Tracks(..) | Message::Plan(..) | Message::Frame(_) | Message::Truth(..) => {
+            FlightMessage::Tracks(..)
+            | FlightMessage::Plan(..)
+            | FlightMessage::Frame(_)
+            | FlightMessage::Truth(..) => {
                 return Ok(());
             }
         }
@@ -222,9 +224,6 @@ impl Replay {
     }
 
     /// At the recording's end; `is_whole`: it was not cut off.
-    ///
-    /// # Errors
-    /// Nothing could be compared.
     pub fn finish(mut self, is_whole: bool) -> anyhow::Result<ReplayReport> {
         if self.is_under_way() {
             if is_whole {
@@ -258,9 +257,9 @@ impl Replay {
     ) -> anyhow::Result<()> {
         while self.is_under_way() {
             match self.script.next(utc_ns) {
-                Next::Wait => break,
-                Next::End(reason) => self.replayed.end = Some(reason),
-                Next::Entry(entry, event) => {
+                NextCall::Wait => break,
+                NextCall::End(reason) => self.replayed.end = Some(reason),
+                NextCall::Entry(entry, event) => {
                     before(&self.core, &entry);
                     let difference = self.follow(&entry, event)?;
                     // A difference of earlier messages comes first.

@@ -20,11 +20,11 @@ use flockeye_runtime::clock;
 use flockeye_runtime::instance::Instance;
 use flockeye_runtime::ports::{Ports, Subscriber};
 
-use self::disturbance::{Disturbance, Kind, Victim};
+use self::disturbance::{Disturbance, DisturbanceKind};
 use self::report::ChaosReport;
 use crate::dice::Dice;
 use flockeye_launcher::control::client::ask;
-use flockeye_launcher::control::{Request, SwapRequest, Worker};
+use flockeye_launcher::control::{ControlRequest, SwapRequest, WorkerName};
 
 /// Arguments of `chaos`.
 #[derive(Debug, Args)]
@@ -47,10 +47,10 @@ pub(crate) struct ChaosArguments {
     pub rate: f64,
     /// Only these kinds of disturbances.
     #[arg(long, value_delimiter = ',', value_name = "KIND")]
-    pub only: Vec<Kind>,
+    pub only: Vec<DisturbanceKind>,
     /// Only these workers.
     #[arg(long, value_delimiter = ',', value_name = "STAGE[.REPLICA]")]
-    pub workers: Vec<Worker>,
+    pub workers: Vec<WorkerName>,
     /// JSON.
     #[arg(long)]
     pub json: bool,
@@ -67,7 +67,7 @@ fn rate(text: &str) -> Result<f64, String> {
 }
 
 /// Reads the pipeline while it is disturbed.
-struct Watch {
+struct ChaosWatch {
     // Ports go after the subscribers.
     tracks: Subscriber<Tracks>,
     truths: Subscriber<Truths>,
@@ -88,7 +88,7 @@ pub(crate) fn run(arguments: &ChaosArguments) -> anyhow::Result<()> {
     // Both processes of a stage send messages while it is swapped.
     ports.follow_hand_overs()?;
     let (tracks, truths) = (ports.subscriber()?, ports.subscriber()?);
-    let mut watch = Watch { tracks, truths, ports, report };
+    let mut watch = ChaosWatch { tracks, truths, ports, report };
     watch.for_(SETTLING_TIME, &stopping)?;
     ensure!(
         watch.report.has_poses(),
@@ -125,22 +125,25 @@ pub(crate) fn run(arguments: &ChaosArguments) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// The workers that run and may be disturbed.
-fn victims(instance: &Instance, arguments: &ChaosArguments) -> anyhow::Result<Vec<Victim>> {
-    let (_, status) = ask(instance, &Request::Status, |_| {})?;
+/// The workers that run and may be disturbed, each with the number of its process.
+fn victims(
+    instance: &Instance,
+    arguments: &ChaosArguments,
+) -> anyhow::Result<Vec<(WorkerName, i32)>> {
+    let (_, status) = ask(instance, &ControlRequest::Status, |_| {})?;
     let workers = status["workers"].as_array().context("the launcher's answer has no workers")?;
     let victims = workers.iter().filter_map(|worker| {
         let state = worker["state"].as_str()?;
         let pid = i32::try_from(worker["pid"].as_u64()?).ok()?;
-        let worker: Worker = worker["worker"].as_str()?.parse().ok()?;
+        let worker: WorkerName = worker["worker"].as_str()?.parse().ok()?;
         let is_meant = arguments.workers.is_empty() || arguments.workers.contains(&worker);
         let runs = matches!(state, "ready" | "degraded");
-        (is_meant && runs).then_some(Victim { worker, pid })
+        (is_meant && runs).then_some((worker, pid))
     });
     Ok(victims.collect())
 }
 
-impl Watch {
+impl ChaosWatch {
     /// Takes the messages that come in this time.
     fn for_(&mut self, time: Duration, stopping: &AtomicBool) -> anyhow::Result<()> {
         let end = Instant::now() + time;
@@ -174,9 +177,9 @@ impl Watch {
         disturbance: &Disturbance,
         stopping: &AtomicBool,
     ) -> anyhow::Result<()> {
-        let worker = disturbance.victim.worker;
+        let worker = disturbance.worker;
         let failure = match disturbance.kind {
-            Kind::Swap => {
+            DisturbanceKind::Swap => {
                 let request = SwapRequest {
                     worker,
                     set: Vec::new(),
@@ -187,8 +190,9 @@ impl Watch {
                 self.report.strike(disturbance, clock::monotonic_ns());
                 // What comes meanwhile is read, or it would count as lost.
                 let instance = instance.clone();
-                let asking =
-                    std::thread::spawn(move || ask(&instance, &Request::Swap(request), |_| {}));
+                let asking = std::thread::spawn(move || {
+                    ask(&instance, &ControlRequest::Swap(request), |_| {})
+                });
                 while !asking.is_finished() {
                     self.for_(Duration::from_millis(5), stopping)?;
                 }

@@ -6,28 +6,25 @@ use flockeye_launcher::exec::{self, ExecArguments};
 
 use crate::chaos::{self, ChaosArguments};
 use crate::conformance::{self, TestArguments};
-use crate::contract::{self, ContractArguments};
+use crate::contract::{self, ContractForm};
 use crate::new_stage::{self, NewArguments};
 use crate::swarm_simulation::{self, SimArguments};
 
+// The descriptions are in `flockeye_cli::workshop`, because the help of `flockeye` shows them too.
 /// Flockeye's workshop: it helps to write stages, and tries pipelines out.
 #[derive(Debug, Parser)]
 #[command(name = workshop::PROGRAM, version)]
-struct Workshop {
-    /// What to do.
-    #[command(subcommand)]
-    command: WorkshopCommand,
-}
-
-// The descriptions are in `flockeye_cli::workshop`, because the help of `flockeye` shows them too.
-#[derive(Debug, Subcommand)]
-enum WorkshopCommand {
+enum Workshop {
     #[command(about = workshop::CHAOS.about)]
     Chaos(ChaosArguments),
     #[command(subcommand, about = workshop::SWARM.about)]
     Swarm(SwarmCommand),
     #[command(about = workshop::CONTRACT.about)]
-    Contract(ContractArguments),
+    Contract {
+        /// In which form.
+        #[arg(value_enum)]
+        form: ContractForm,
+    },
     #[command(subcommand, about = workshop::STAGE.about)]
     Stage(StageCommand),
     /// Become a process that ends with this one (used by the other commands).
@@ -55,13 +52,16 @@ enum StageCommand {
 /// # Errors
 /// As the command.
 pub fn run() -> anyhow::Result<()> {
-    match Workshop::parse().command {
-        WorkshopCommand::Chaos(arguments) => chaos::run(&arguments),
-        WorkshopCommand::Swarm(SwarmCommand::Sim(arguments)) => swarm_simulation::run(&arguments),
-        WorkshopCommand::Contract(arguments) => contract::run(&arguments),
-        WorkshopCommand::Stage(StageCommand::New(arguments)) => new_stage::run(&arguments),
-        WorkshopCommand::Stage(StageCommand::Test(arguments)) => conformance::run(&arguments),
-        WorkshopCommand::ExecStage(arguments) => exec::run(&arguments),
+    match Workshop::parse() {
+        Workshop::Chaos(arguments) => chaos::run(&arguments),
+        Workshop::Swarm(SwarmCommand::Sim(arguments)) => swarm_simulation::run(&arguments),
+        Workshop::Contract { form } => {
+            contract::print(form);
+            Ok(())
+        }
+        Workshop::Stage(StageCommand::New(arguments)) => new_stage::run(&arguments),
+        Workshop::Stage(StageCommand::Test(arguments)) => conformance::run(&arguments),
+        Workshop::ExecStage(arguments) => exec::run(&arguments),
     }
 }
 

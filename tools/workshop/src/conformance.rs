@@ -33,7 +33,6 @@ use flockeye_contract::StageName;
 use flockeye_launcher::control::stage_name;
 
 use self::bench::Bench;
-use self::report::Report;
 use crate::fleet::free_ports;
 
 /// Arguments of `stage test`.
@@ -94,13 +93,12 @@ pub(crate) fn run(arguments: &TestArguments) -> anyhow::Result<()> {
     if arguments.beside.is_some() {
         beside::check(stage)?;
     }
-    let mut report = Report::default();
     let mut bench = Bench::new(&resolved, stage, &arguments.command)?;
-    if bench.start(&mut report)? {
-        script(&mut bench, &resolved, &mut report)?;
-        bench.stop(&mut report)?;
+    if bench.start()? {
+        script(&mut bench, &resolved)?;
+        bench.stop()?;
     }
-    let log = bench.finish();
+    let (mut report, log) = bench.finish();
     let beside = arguments.beside.as_ref().map_or(Ok(()), |source| {
         let (configuration, command) = (&arguments.configuration, &arguments.command);
         beside::run(stage, configuration, source, command, &mut report)

@@ -20,18 +20,18 @@ const SHOWN_LINES: usize = 15;
 /// Pipelines that run. Dropping it ends them.
 #[derive(Debug)]
 pub(crate) struct Fleet {
-    pipelines: Vec<Pipeline>,
+    pipelines: Vec<FleetProcess>,
     folder: PathBuf,
 }
 
 #[derive(Debug)]
-struct Pipeline {
+struct FleetProcess {
     instance: Instance,
     log: PathBuf,
     child: Child,
 }
 
-impl Pipeline {
+impl FleetProcess {
     fn last_lines(&self) -> String {
         let text = std::fs::read_to_string(&self.log).unwrap_or_default();
         let lines: Vec<&str> = text.lines().collect();
@@ -42,9 +42,6 @@ impl Pipeline {
 impl Fleet {
     /// Starts a pipeline for each instance's name, with these arguments of `flockeye up`. What they
     /// write goes to files in [`Fleet::folder`].
-    ///
-    /// # Errors
-    /// A name is taken, or a process or its file cannot be had.
     pub(crate) fn start(pipelines: &[(String, Vec<OsString>)]) -> anyhow::Result<Self> {
         let program = program::find("flockeye")?;
         let folder = std::env::temp_dir().join(format!("flockeye-fleet-{}", std::process::id()));
@@ -60,7 +57,7 @@ impl Fleet {
             command.arg(&program).arg("up").args(arguments);
             command.stdin(Stdio::null()).stdout(output.try_clone()?).stderr(output);
             let child = command.spawn().with_context(|| format!("the pipeline {name}"))?;
-            fleet.pipelines.push(Pipeline { instance, log, child });
+            fleet.pipelines.push(FleetProcess { instance, log, child });
         }
         Ok(fleet)
     }
@@ -90,7 +87,7 @@ impl Fleet {
 
     /// The last lines that each pipeline wrote.
     pub(crate) fn last_lines(&self) -> String {
-        let lines: Vec<_> = self.pipelines.iter().map(Pipeline::last_lines).collect();
+        let lines: Vec<_> = self.pipelines.iter().map(FleetProcess::last_lines).collect();
         lines.join("\n")
     }
 
@@ -128,9 +125,6 @@ impl Drop for Fleet {
 
 /// Free TCP ports of the loopback interface. If another program takes one meanwhile, the gateway
 /// fails with that reason.
-///
-/// # Errors
-/// The system gives none.
 pub(crate) fn free_ports(count: usize) -> anyhow::Result<Vec<u16>> {
     let listeners: Vec<TcpListener> = (0..count)
         .map(|_| TcpListener::bind(("127.0.0.1", 0)))

@@ -10,7 +10,6 @@ mod watch;
 
 use std::collections::BTreeMap;
 use std::ffi::OsString;
-use std::str::FromStr;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::channel;
@@ -24,7 +23,7 @@ use flockeye_contract::SwarmWay;
 use flockeye_runtime::clock;
 use flockeye_runtime::instance::Instance;
 
-use self::score::{Claim, Score};
+use self::score::{Claim, ClaimScore};
 use self::watch::{SwarmEvent, watch};
 use crate::fleet::{Fleet, free_ports};
 
@@ -47,8 +46,8 @@ pub(crate) struct SimArguments {
     #[arg(long, default_value_t = 4, value_parser = clap::value_parser!(u32).range(2..=i64::from(MOST_DRONES)))]
     pub drones: u32,
     /// Width and height of their images.
-    #[arg(long, value_name = "WIDTHxHEIGHT", default_value = "1280x640")]
-    pub size: Size,
+    #[arg(long, value_name = "WIDTHxHEIGHT", default_value = "1280x640", value_parser = size)]
+    pub size: [u32; 2],
     /// Frames a second of each camera. All pipelines share this machine.
     #[arg(long, default_value_t = 10.0)]
     pub rate: f64,
@@ -66,22 +65,12 @@ pub(crate) struct SimArguments {
     pub json: bool,
 }
 
-/// Width and height, pixels.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) struct Size {
-    width: u32,
-    height: u32,
-}
-
-impl FromStr for Size {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        let sides = text.split_once('x').map(|(width, height)| (width.parse(), height.parse()));
-        match sides {
-            Some((Ok(width), Ok(height))) => Ok(Self { width, height }),
-            _ => Err("write 1280x640".to_owned()),
-        }
+/// Reads width and height, pixels.
+fn size(text: &str) -> Result<[u32; 2], String> {
+    let sides = text.split_once('x').map(|(width, height)| (width.parse(), height.parse()));
+    match sides {
+        Some((Ok(width), Ok(height))) => Ok([width, height]),
+        _ => Err("write 1280x640".to_owned()),
     }
 }
 
@@ -105,7 +94,7 @@ pub(crate) fn run(arguments: &SimArguments) -> anyhow::Result<()> {
         let folder = fleet.folder().display();
         screen.line(&format!("{} pipelines start; their output is in {folder}", pipelines.len()));
     }
-    let mut swarm = Swarm::default();
+    let mut swarm = SwarmKnowledge::default();
     let started = Instant::now();
     let mut shown = started;
     let period = if screen.is_live() { LIVE_PERIOD } else { PRINT_PERIOD };
@@ -164,7 +153,7 @@ fn pipelines(arguments: &SimArguments) -> anyhow::Result<Vec<(String, Vec<OsStri
     let start_ns = clock::monotonic_ns() + START_TIME.as_nanos() as i64;
     let ports = free_ports(drones as usize)?;
     let endpoint = |port: &u16| format!("tcp/127.0.0.1:{port}");
-    let Size { width, height } = arguments.size;
+    let [width, height] = arguments.size;
     let defaults = [
         format!("camera.width={width}"),
         format!("camera.height={height}"),
@@ -200,14 +189,14 @@ fn pipelines(arguments: &SimArguments) -> anyhow::Result<Vec<(String, Vec<OsStri
 
 /// What is known of a swarm so far.
 #[derive(Debug, Default)]
-struct Swarm {
-    score: Score,
+struct SwarmKnowledge {
+    score: ClaimScore,
     first_pose: Option<Instant>,
     /// Each drone's newest claims.
     newest: BTreeMap<String, Vec<Claim>>,
 }
 
-impl Swarm {
+impl SwarmKnowledge {
     fn take(&mut self, event: SwarmEvent) {
         match event {
             SwarmEvent::PoseSent { from, frame, sent_ns } => self.score.sent(&from, frame, sent_ns),

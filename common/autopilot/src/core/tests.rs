@@ -4,18 +4,16 @@ use mavlink::dialects::development::{HEARTBEAT_DATA, TARGET_RELATIVE_DATA};
 
 use super::*;
 use crate::neighbour::tests::neighbour;
-use crate::parameters::Rates;
 
 const MS: i64 = 1_000_000;
 const UTC: i64 = 1_700_000_000_000_000_000;
 const OURS: MavHeader = MavHeader { system_id: 7, component_id: 1, sequence: 0 };
 
-fn core(change: impl FnOnce(&mut AutopilotParameters)) -> Core {
-    let mut parameters =
-        AutopilotParameters { system_id: 7, target: Some("kite".into()), ..Default::default() };
-    change(&mut parameters);
-    parameters.check().unwrap();
-    Core::new(parameters, WireClock::new(UTC, 0))
+fn core(change: impl FnOnce(&mut Autopilot)) -> Core {
+    let mut settings =
+        Autopilot { system_id: 7, target: Some("kite".into()), ..Default::default() };
+    change(&mut settings);
+    Core::new(settings, UTC)
 }
 
 /// What is sent in a time, at steps of a millisecond, and what `step` does before each.
@@ -59,7 +57,8 @@ fn see(core: &mut Core, name: &str, now_ms: i64) {
     core.on_neighbour(&neighbour(name, now_ms * MS), now_ms * MS).unwrap();
 }
 
-/// Answers our question for the time as an autopilot does that started `started_ms` after this machine.
+/// Answers our question for the time as an autopilot does that started `started_ms` after this
+/// machine.
 fn answer(core: &mut Core, sent: &[Outgoing], now_ms: i64, started_ms: i64) {
     for message in sent {
         if let Outgoing::Timesync(time) = message
@@ -74,8 +73,8 @@ fn answer(core: &mut Core, sent: &[Outgoing], now_ms: i64, started_ms: i64) {
 
 #[test]
 fn rates_are_kept_and_nothing_is_sent_twice() {
-    let mut core = core(|parameters| {
-        parameters.rates = Rates { target_hz: 20.0, obstacles_hz: 10.0, odometry_hz: 0.0 };
+    let mut core = core(|settings| {
+        (settings.target_hz, settings.obstacles_hz, settings.odometry_hz) = (20.0, 10.0, 0.0);
     });
     // Two neighbours, 50 frames a second for 20 s.
     let sent = run(&mut core, 1000, 21_000, |core, now_ms| {
@@ -104,11 +103,10 @@ fn frames_that_come_seldom_are_not_repeated_and_rates_of_zero_send_nothing() {
     };
     let sent = run(&mut core(|_| {}), 0, 5000, seldom);
     assert_eq!((targets(&sent).len(), obstacles(&sent).len()), (10, 10));
-    let mut silent =
-        core(|p| p.rates = Rates { target_hz: 0.0, obstacles_hz: 0.0, odometry_hz: 0.0 });
+    let mut silent = core(|s| (s.target_hz, s.obstacles_hz, s.odometry_hz) = (0.0, 0.0, 0.0));
     let sent = run(&mut silent, 0, 5000, seldom);
     assert_eq!((targets(&sent).len(), obstacles(&sent).len()), (0, 0));
-    let mut no_target = core(|parameters| parameters.target = None);
+    let mut no_target = core(|settings| settings.target = None);
     assert!(targets(&run(&mut no_target, 0, 5000, seldom)).is_empty());
 }
 
@@ -162,7 +160,7 @@ fn those_that_are_seen_together_have_one_time_and_each_set_another() {
 
 #[test]
 fn who_is_out_of_range_is_no_obstacle() {
-    let mut core = core(|parameters| parameters.obstacle_range_m = [1.0, 10.0]);
+    let mut core = core(|settings| settings.obstacle_range_m = [1.0, 10.0]);
     for (name, x) in [("near", 0.1), ("far", 11.0), ("kite", 5.0)] {
         let mut state = neighbour(name, 0);
         state.observer_from_target.translation.vector = [x, 0.0, 0.0].into();
@@ -195,7 +193,7 @@ fn times_are_the_autopilots_once_its_clock_is_known_and_ours_before() {
 
 #[test]
 fn questions_for_our_time_are_answered_and_others_questions_are_not() {
-    let mut core = core(|parameters| parameters.rates.odometry_hz = 0.0);
+    let mut core = core(|settings| settings.odometry_hz = 0.0);
     core.due(0);
     let question = |target_system, target_component| {
         let question = TIMESYNC_DATA { tc1: 0, ts1: 1234, target_system, target_component };

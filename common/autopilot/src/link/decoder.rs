@@ -7,11 +7,11 @@ use mavlink::dialects::development::MavMessage;
 use mavlink::error::MessageReadError;
 use mavlink::{MavHeader, MavlinkReader};
 
-/// Hands on the messages that are whole in these bytes. A message never goes over two datagrams, so what is left
-/// of one is forgotten with it, and cannot spoil the next.
+/// Hands on the messages that are whole in these bytes. A message never goes over two datagrams, so
+/// what is left of one is forgotten with it, and cannot spoil the next.
 pub fn decode(datagram: &[u8], mut hear: impl FnMut(MavHeader, &MavMessage)) {
-    // A byte that only looks like the beginning of a message claims more bytes than there are. With these it is
-    // seen to be none, and what comes after it is found.
+    // A byte that only looks like the beginning of a message claims more bytes than there are. With
+    // these it is seen to be none, and what comes after it is found.
     let rest = repeat(0).take(MAX_FRAME_SIZE as u64);
     let mut reader = MavlinkReader::with_capacity(0, datagram.chain(rest));
     loop {

@@ -5,7 +5,8 @@ use std::time::Duration;
 
 /// The longest that reading or writing blocks.
 pub(super) const TIMEOUT: Duration = Duration::from_millis(100);
-/// An autopilot that is silent for so long may speak from elsewhere: they send heartbeats each second.
+/// An autopilot that is silent for so long may speak from elsewhere: they send heartbeats each
+/// second.
 pub(crate) const SILENT: Duration = Duration::from_secs(3);
 
 /// Whether nothing came in that time.

@@ -1,7 +1,7 @@
 //! Bytes to and from the autopilot over a serial line.
 //!
-//! The device is opened here and not by `mavlink`: its connection reads until a message comes, and writes until the
-//! line takes everything, so whoever uses it may never return.
+//! The device is opened here and not by `mavlink`: its connection reads until a message comes, and
+//! writes until the line takes everything, so whoever uses it may never return.
 
 use std::fs::{File, OpenOptions};
 use std::io::{self, Read, Write};
@@ -18,17 +18,10 @@ use rustix::termios::{ControlModes, OptionalActions, ioctl_tiocexcl, tcgetattr, 
 use super::patience::{TIMEOUT, is_timeout};
 
 /// The half that receives.
-pub(crate) struct SerialReader {
-    reader: MavlinkReader<OneRead<Port>>,
-}
+pub type SerialReader = MavlinkReader<OneRead<Port>>;
 
-/// The half that sends.
-pub(crate) struct SerialWriter {
-    port: Port,
-}
-
-/// Opens a device, which no other program can open then.
-pub(crate) fn open(device: &str, baud: u32) -> io::Result<(SerialReader, SerialWriter)> {
+/// Opens a device, which no other program can open then. The halves receive and send.
+pub(super) fn open(device: &str, baud: u32) -> io::Result<(SerialReader, Port)> {
     // Without waiting for a carrier, and never the terminal that signals come from.
     let flags = (OFlags::NONBLOCK | OFlags::NOCTTY).bits();
     let flags = i32::try_from(flags).map_err(io::Error::other)?;
@@ -41,46 +34,43 @@ pub(crate) fn open(device: &str, baud: u32) -> io::Result<(SerialReader, SerialW
     line.control_modes.insert(ControlModes::CREAD | ControlModes::CLOCAL);
     line.set_speed(baud)?;
     tcsetattr(&file, OptionalActions::Now, &line)?;
-    let writer = SerialWriter { port: Port(file.try_clone()?) };
+    let port = Port(file.try_clone()?);
     let source = OneRead { source: Port(file), has_read: false };
-    Ok((SerialReader { reader: MavlinkReader::new(source) }, writer))
+    Ok((MavlinkReader::new(source), port))
 }
 
-impl SerialReader {
-    /// Waits for a message and hands it on.
-    pub(crate) fn read(
-        &mut self,
-        hear: &mut dyn FnMut(MavHeader, &MavMessage) -> bool,
-    ) -> io::Result<()> {
-        match self.reader.read_any_message() {
-            Ok((header, message)) => {
-                hear(header, &message);
-                Ok(())
-            }
-            // A message of another dialect.
-            Err(MessageReadError::Parse(_)) => Ok(()),
-            Err(MessageReadError::Io(error)) if is_timeout(&error) => Ok(()),
-            Err(MessageReadError::Io(error)) => Err(error),
+/// Waits for a message and hands it on.
+pub(super) fn read(
+    reader: &mut SerialReader,
+    hear: &mut dyn FnMut(MavHeader, &MavMessage) -> bool,
+) -> io::Result<()> {
+    match reader.read_any_message() {
+        Ok((header, message)) => {
+            hear(header, &message);
+            Ok(())
         }
+        // A message of another dialect.
+        Err(MessageReadError::Parse(_)) => Ok(()),
+        Err(MessageReadError::Io(error)) if is_timeout(&error) => Ok(()),
+        Err(MessageReadError::Io(error)) => Err(error),
     }
 }
 
-impl SerialWriter {
-    /// Sends a message; false where the line takes no more. Half a message does no harm: readers find the next.
-    pub(crate) fn write(&mut self, frame: &[u8]) -> io::Result<bool> {
-        match self.port.write(frame) {
+/// An open device. Nothing blocks it for longer than [`TIMEOUT`].
+pub struct Port(File);
+
+impl Port {
+    /// Sends a message; false where the line takes no more. Half a message does no harm: readers
+    /// find the next.
+    pub(super) fn write(&mut self, frame: &[u8]) -> io::Result<bool> {
+        match self.write_all(frame) {
             Ok(()) => Ok(true),
             Err(error) if is_timeout(&error) => Ok(false),
             Err(error) => Err(error),
         }
     }
-}
 
-/// An open device. Nothing blocks it for longer than [`TIMEOUT`].
-struct Port(File);
-
-impl Port {
-    fn write(&mut self, mut bytes: &[u8]) -> io::Result<()> {
+    fn write_all(&mut self, mut bytes: &[u8]) -> io::Result<()> {
         let began = Instant::now();
         while !bytes.is_empty() {
             if began.elapsed() > TIMEOUT {
@@ -115,9 +105,9 @@ impl Read for Port {
     }
 }
 
-/// Gives up after each read. A line with the wrong rate gives bytes without end and never a message; whoever
-/// reads until a message comes would never see that it shall stop.
-struct OneRead<R> {
+/// Gives up after each read. A line with the wrong rate gives bytes without end and never a
+/// message; whoever reads until a message comes would never see that it shall stop.
+pub struct OneRead<R> {
     source: R,
     has_read: bool,
 }

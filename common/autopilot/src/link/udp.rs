@@ -12,7 +12,8 @@ use super::decoder::decode;
 use super::patience::{SILENT, TIMEOUT, is_timeout};
 use flockeye_runtime::lock::lock;
 
-/// Longer datagrams are cut: nobody sends longer ones over a network whose packets have 1,500 bytes.
+/// Longer datagrams are cut: nobody sends longer ones over a network whose packets have 1,500
+/// bytes.
 const MAX_DATAGRAM: usize = 2048;
 
 /// Where the autopilot is.
@@ -24,28 +25,20 @@ enum Peer {
     Heard(Mutex<Option<(SocketAddr, Instant)>>),
 }
 
-/// The half that receives.
+/// A socket, and who is at its other end. Its clone is the same line.
 #[derive(Debug)]
-pub(crate) struct UdpReader {
-    socket: UdpSocket,
-    peer: Arc<Peer>,
-    datagram: Box<[u8]>,
-}
-
-/// The half that sends.
-#[derive(Debug)]
-pub(crate) struct UdpWriter {
+pub struct UdpLine {
     socket: UdpSocket,
     peer: Arc<Peer>,
 }
 
 /// Listens on this machine's address.
-pub(crate) fn listen(address: SocketAddr) -> io::Result<(UdpReader, UdpWriter)> {
-    halves(UdpSocket::bind(address)?, Peer::Heard(Mutex::new(None)))
+pub(super) fn listen(address: SocketAddr) -> io::Result<UdpLine> {
+    line(UdpSocket::bind(address)?, Peer::Heard(Mutex::new(None)))
 }
 
 /// Talks to this host and port.
-pub(crate) fn connect(address: &str) -> io::Result<(UdpReader, UdpWriter)> {
+pub(super) fn connect(address: &str) -> io::Result<UdpLine> {
     let unknown = || io::Error::other(format!("{address} has no address"));
     let address = address.to_socket_addrs()?.next().ok_or_else(unknown)?;
     let any: SocketAddr = match address {
@@ -54,31 +47,33 @@ pub(crate) fn connect(address: &str) -> io::Result<(UdpReader, UdpWriter)> {
     };
     let socket = UdpSocket::bind(any)?;
     socket.connect(address)?;
-    halves(socket, Peer::Fixed)
+    line(socket, Peer::Fixed)
 }
 
-fn halves(socket: UdpSocket, peer: Peer) -> io::Result<(UdpReader, UdpWriter)> {
+fn line(socket: UdpSocket, peer: Peer) -> io::Result<UdpLine> {
     socket.set_read_timeout(Some(TIMEOUT))?;
     socket.set_write_timeout(Some(TIMEOUT))?;
-    let peer = Arc::new(peer);
-    let writer = UdpWriter { socket: socket.try_clone()?, peer: peer.clone() };
-    let datagram = vec![0; MAX_DATAGRAM].into_boxed_slice();
-    Ok((UdpReader { socket, peer, datagram }, writer))
+    Ok(UdpLine { socket, peer: Arc::new(peer) })
 }
 
-impl UdpReader {
+impl UdpLine {
+    pub(super) fn try_clone(&self) -> io::Result<Self> {
+        Ok(Self { socket: self.socket.try_clone()?, peer: self.peer.clone() })
+    }
+
     /// Waits for a datagram and hands on its messages. `hear` says whether the autopilot speaks.
-    pub(crate) fn read(
-        &mut self,
+    pub(super) fn read(
+        &self,
         hear: &mut dyn FnMut(MavHeader, &MavMessage) -> bool,
     ) -> io::Result<()> {
-        let (length, sender) = match self.socket.recv_from(&mut self.datagram) {
+        let mut datagram = [0; MAX_DATAGRAM];
+        let (length, sender) = match self.socket.recv_from(&mut datagram) {
             Ok(received) => received,
             Err(error) if is_timeout(&error) || is_nobody(&error) => return Ok(()),
             Err(error) => return Err(error),
         };
         let mut is_autopilot = false;
-        decode(&self.datagram[..length], |header, message| is_autopilot |= hear(header, message));
+        decode(&datagram[..length], |header, message| is_autopilot |= hear(header, message));
         if is_autopilot && let Peer::Heard(heard) = &*self.peer {
             let mut heard = lock(heard);
             // Messages from another address are refused while the autopilot sends.
@@ -90,11 +85,9 @@ impl UdpReader {
         }
         Ok(())
     }
-}
 
-impl UdpWriter {
     /// Sends a message; false where nobody is there yet.
-    pub(crate) fn write(&mut self, frame: &[u8]) -> io::Result<bool> {
+    pub(super) fn write(&self, frame: &[u8]) -> io::Result<bool> {
         let sent = match &*self.peer {
             Peer::Fixed => self.socket.send(frame),
             Peer::Heard(heard) => {

@@ -11,11 +11,11 @@ use crate::axes::{enu_from_ned, flip, flu_from_frd, from_wxyz};
 /// A position further off, or a velocity above, is none, metres and metres a second.
 const LARGEST: f64 = 1e7;
 
-/// `ODOMETRY`: position, attitude, velocities and covariance in one. None where its frames are none of those that
-/// autopilots send, or its numbers are no numbers.
+/// `ODOMETRY`: position, attitude, velocities and covariance in one. None where its frames are none
+/// of those that autopilots send, or its numbers are no numbers.
 ///
-/// Frames: pose in `LOCAL_NED` or `LOCAL_FRD`, velocity in `BODY_FRD` or the pose's frame. Rates are the
-/// body's in each case.
+/// Frames: pose in `LOCAL_NED` or `LOCAL_FRD`, velocity in `BODY_FRD` or the pose's frame. Rates
+/// are the body's in each case.
 pub(super) fn from_odometry(message: &ODOMETRY_DATA) -> Option<OdometryAt> {
     let (frame, odom_from_local) = match message.frame_id {
         MavFrame::MAV_FRAME_LOCAL_NED => (OdometryFrame::Enu, enu_from_ned()),
@@ -35,7 +35,8 @@ pub(super) fn from_odometry(message: &ODOMETRY_DATA) -> Option<OdometryAt> {
         odom_from_base: Isometry3::from_parts(position.into(), odom_from_base),
         frame,
         covariance: covariance(&message.pose_covariance).map(|covariance| {
-            // The position's part is along the local frame's axes, the rotation's along the body's (FRD).
+            // The position's part is along the local frame's axes, the rotation's along the body's
+            // (FRD).
             let mut turn = Matrix6::zeros();
             turn.fixed_view_mut::<3, 3>(0, 0).copy_from(&matrix(&odom_from_local));
             turn.fixed_view_mut::<3, 3>(3, 3)
@@ -90,8 +91,8 @@ fn matrix(rotation: &UnitQuaternion<f64>) -> Matrix3<f64> {
     rotation.to_rotation_matrix().into_inner()
 }
 
-/// The full matrix of the upper triangle, row by row. None where a variance is not known. A covariance that is
-/// not known (PX4 sends variances only) counts as zero.
+/// The full matrix of the upper triangle, row by row. None where a variance is not known. A
+/// covariance that is not known (PX4 sends variances only) counts as zero.
 fn covariance(upper: &[f32; 21]) -> Option<Matrix6<f64>> {
     let mut full = Matrix6::zeros();
     let mut parts = upper.iter();

@@ -29,8 +29,8 @@ pub struct OdometryAt {
     pub odom_from_base: Isometry3<f64>,
     /// The axes of `odom`.
     pub frame: OdometryFrame,
-    /// Covariance of the pose: position (m), then rotation vector (rad), both along the axes of `odom`; none where
-    /// the autopilot does not tell.
+    /// Covariance of the pose: position (m), then rotation vector (rad), both along the axes of
+    /// `odom`; none where the autopilot does not tell.
     pub covariance: Option<Matrix6<f64>>,
     /// Velocity along the axes of `base_link`, m/s.
     pub linear_velocity_m_s: Vector3<f64>,

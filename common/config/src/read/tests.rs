@@ -82,7 +82,7 @@ const WRONG: &[(&str, &[&str])] = &[
     ("gateway: {mode: client}", &["gateway.mode", "needs a router", "gateway.connect"]),
     ("gateway: {mode: router}", &["gateway.mode"]),
     ("autopilot: {target_hz: 0.1}", &["autopilot.target_hz", "0.5 to 100"]),
-    ("autopilot: {max_age_ms: 9}", &["autopilot.max_age_ms", "50"]),
+    ("autopilot: {max_age_ms: 9}", &["autopilot.max_age_ms", "500"]),
     ("autopilot: {obstacle_range_m: [5, 5]}", &["autopilot.obstacle_range_m"]),
     ("autopilot: {target: a b}", &["autopilot.target", "cannot be a name"]),
     ("camera:\n\twidth: 1", &["not YAML"]),

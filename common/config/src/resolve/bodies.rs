@@ -2,104 +2,25 @@
 
 use std::fs::File;
 use std::io::Read;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
-use flockeye_geometry::body::{
-    Bodies, BodiesError, Body, TruncatedSizes, cube, plate, squares, truncated,
-};
+use flockeye_geometry::body::{Bodies, Body, TruncatedSizes, cube, plate, squares, truncated};
 
+use super::error::{MAX_FILE_BYTES, ResolveError};
 use super::mount::isometry;
 use crate::types::{BodySet, Mount, Preset, PresetBody};
-
-/// Ten times the size of a file of 32 bodies with 100 markers each.
-const MAX_FILE_BYTES: u64 = 16_000_000;
-
-/// Why the bodies are invalid.
-#[derive(Debug, thiserror::Error)]
-pub enum BodySetError {
-    /// The file cannot be read.
-    #[error("cannot read the bodies file {path}: {error}")]
-    Read {
-        /// The file.
-        path: PathBuf,
-        /// The system's reason.
-        error: std::io::Error,
-    },
-    /// The file is larger than any of its kind.
-    #[error(
-        "the bodies file {path} has more than {} MB, which no bodies need. Cure: give the JSON file \
-         of ids and corners",
-        MAX_FILE_BYTES / 1_000_000
-    )]
-    Size {
-        /// The file.
-        path: PathBuf,
-    },
-    /// The file contradicts itself.
-    #[error("{path}: {error}")]
-    File {
-        /// The file.
-        path: PathBuf,
-        /// What is wrong.
-        error: BodiesError,
-    },
-    /// The entries contradict each other.
-    #[error("bodies.list: {0}")]
-    List(BodiesError),
-    /// A name that cannot go over the network.
-    #[error(
-        "{path}: '{name}' cannot be a body's name: use 1 to 31 letters, digits, '-', '_' and '.'"
-    )]
-    Name {
-        /// The file.
-        path: PathBuf,
-        /// The name.
-        name: String,
-    },
-    /// The file lacks the named body.
-    #[error("{path} has no body '{name}'; it has {}", .has.join(", "))]
-    Missing {
-        /// The file.
-        path: PathBuf,
-        /// What is wanted.
-        name: String,
-        /// What there is.
-        has: Vec<String>,
-    },
-    /// A file of another dictionary.
-    #[error("the markers of {path} are from {found}, those of the other bodies from {wanted}")]
-    Dictionary {
-        /// The file.
-        path: PathBuf,
-        /// Its dictionary.
-        found: String,
-        /// The configured one.
-        wanted: String,
-    },
-    /// A body that is not the configured one.
-    #[error(
-        "{path}: body '{name}' has other marker ids than the configured one. Cure: give it the same \
-         ids, or another name"
-    )]
-    Ids {
-        /// The file.
-        path: PathBuf,
-        /// The body.
-        name: String,
-    },
-}
 
 /// The bodies of `bodies.file`, or else those of `bodies.list`. A body's place in them is the `target`
 /// number of the contract.
 ///
 /// # Errors
 /// A file cannot be read, or everything in it that contradicts.
-pub fn bodies(settings: &BodySet) -> Result<Bodies, BodySetError> {
+pub fn bodies(settings: &BodySet) -> Result<Bodies, ResolveError> {
     if let Some(path) = &settings.file {
         return read_bodies(path);
     }
     let wanted = &settings.dictionary;
-    let bodies: Result<Vec<Body>, BodySetError> = settings
+    let bodies: Result<Vec<Body>, ResolveError> = settings
         .list
         .iter()
         .map(|entry| match (preset_body(entry), &entry.file) {
@@ -109,14 +30,14 @@ pub fn bodies(settings: &BodySet) -> Result<Bodies, BodySetError> {
             (None, None) => Ok(Body::new(entry.name.as_str(), Vec::new())),
         })
         .collect();
-    Bodies::new(wanted.clone(), bodies?).map_err(BodySetError::List)
+    Bodies::new(wanted.clone(), bodies?).map_err(ResolveError::List)
 }
 
 /// The configured bodies, with those of the file at `path` in place of the ones of the same name.
-pub(crate) fn simulated_bodies(configured: &Bodies, path: &Path) -> Result<Bodies, BodySetError> {
+pub(crate) fn simulated_bodies(configured: &Bodies, path: &Path) -> Result<Bodies, ResolveError> {
     let real = read_bodies(path)?;
     check_dictionary(path, &real, &configured.dictionary)?;
-    let bodies: Result<Vec<Body>, BodySetError> = configured
+    let bodies: Result<Vec<Body>, ResolveError> = configured
         .iter()
         .map(|body| {
             let Some(real) = real.iter().find(|real| real.name == body.name) else {
@@ -127,20 +48,20 @@ pub(crate) fn simulated_bodies(configured: &Bodies, path: &Path) -> Result<Bodie
             let ids = |body: &Body| body.markers.iter().map(|m| m.id).collect::<Vec<_>>();
             match ids(real) == ids(body) {
                 true => Ok(placed),
-                false => Err(BodySetError::Ids { path: path.to_owned(), name: body.name.clone() }),
+                false => Err(ResolveError::Ids { path: path.to_owned(), name: body.name.clone() }),
             }
         })
         .collect();
     Bodies::new(configured.dictionary.clone(), bodies?)
-        .map_err(|error| BodySetError::File { path: path.to_owned(), error })
+        .map_err(|error| ResolveError::File { path: path.to_owned(), error })
 }
 
 /// Reads a bodies file. Its dictionary, if that is a file, may lie beside it.
 ///
 /// # Errors
 /// It cannot be read, is far too large, or everything in it that contradicts.
-pub fn read_bodies(path: &Path) -> Result<Bodies, BodySetError> {
-    let unreadable = |error| BodySetError::Read { path: path.to_owned(), error };
+pub fn read_bodies(path: &Path) -> Result<Bodies, ResolveError> {
+    let unreadable = |error| ResolveError::Read { path: path.to_owned(), error };
     let file = File::open(path).map_err(unreadable)?;
     let bytes = file.metadata().map_err(unreadable)?.len();
     let mut json = String::new();
@@ -149,27 +70,27 @@ pub fn read_bodies(path: &Path) -> Result<Bodies, BodySetError> {
         file.take(MAX_FILE_BYTES + 1).read_to_string(&mut json).map_err(unreadable)?;
     }
     if bytes.max(json.len() as u64) > MAX_FILE_BYTES {
-        return Err(BodySetError::Size { path: path.to_owned() });
+        return Err(ResolveError::Size { path: path.to_owned() });
     }
     let mut bodies = Bodies::from_json(&json)
-        .map_err(|error| BodySetError::File { path: path.to_owned(), error })?;
+        .map_err(|error| ResolveError::File { path: path.to_owned(), error })?;
     let beside = path.parent().unwrap_or(Path::new("")).join(&bodies.dictionary);
     if beside.is_file() {
         bodies.dictionary = beside.to_string_lossy().into_owned();
     }
     let bad = bodies.iter().find(|body| !flockeye_contract::wire::is_name(&body.name));
     match bad {
-        Some(body) => Err(BodySetError::Name { path: path.to_owned(), name: body.name.clone() }),
+        Some(body) => Err(ResolveError::Name { path: path.to_owned(), name: body.name.clone() }),
         None => Ok(bodies),
     }
 }
 
 /// The body that a `custom` entry names.
-fn custom_body(entry: &PresetBody, path: &Path, wanted: &str) -> Result<Body, BodySetError> {
+fn custom_body(entry: &PresetBody, path: &Path, wanted: &str) -> Result<Body, ResolveError> {
     let bodies = read_bodies(path)?;
     check_dictionary(path, &bodies, wanted)?;
     let found = bodies.iter().find(|body| body.name == entry.name);
-    let mut body = found.cloned().ok_or_else(|| BodySetError::Missing {
+    let mut body = found.cloned().ok_or_else(|| ResolveError::Missing {
         path: path.to_owned(),
         name: entry.name.clone(),
         has: bodies.iter().map(|body| body.name.clone()).collect(),
@@ -181,11 +102,11 @@ fn custom_body(entry: &PresetBody, path: &Path, wanted: &str) -> Result<Body, Bo
     Ok(body)
 }
 
-fn check_dictionary(path: &Path, bodies: &Bodies, wanted: &str) -> Result<(), BodySetError> {
+fn check_dictionary(path: &Path, bodies: &Bodies, wanted: &str) -> Result<(), ResolveError> {
     if bodies.dictionary == wanted {
         return Ok(());
     }
-    Err(BodySetError::Dictionary {
+    Err(ResolveError::Dictionary {
         path: path.to_owned(),
         found: bodies.dictionary.clone(),
         wanted: wanted.to_owned(),

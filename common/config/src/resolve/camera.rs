@@ -1,38 +1,23 @@
 //! The configured camera: its model and its transfer curve.
 
-use flockeye_contract::Transfer;
+use flockeye_contract::{Projection, Transfer};
 use flockeye_geometry::camera::{Camera, CameraModel, Lens, LensCurve};
 use nalgebra::Vector2;
 
+use super::error::SettingError;
 use super::mount::isometry;
-use crate::types::{self, FisheyeLens, Response};
-
-/// An invalid camera setting.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[error("{key}: {reason}")]
-pub struct CameraSettingError {
-    /// Its key in the configuration.
-    pub key: String,
-    /// What is wrong with it, and the cure.
-    pub reason: String,
-}
-
-impl CameraSettingError {
-    fn new(key: impl Into<String>, reason: impl Into<String>) -> Self {
-        Self { key: key.into(), reason: reason.into() }
-    }
-}
+use crate::types::{CameraSettings, FisheyeLens, Pipeline};
 
 /// The camera model, right for `camera.assumed_distance_m`.
 ///
 /// # Errors
 /// Settings that describe no possible camera.
-pub(crate) fn camera(settings: &types::Camera) -> Result<Camera, CameraSettingError> {
+pub(crate) fn camera(settings: &CameraSettings) -> Result<Camera, SettingError> {
     let model = match settings.projection {
-        types::CameraModel::Equirectangular => {
+        Projection::Equirectangular => {
             if settings.width != 2 * settings.height {
                 let (width, height) = (settings.width, settings.height);
-                return Err(CameraSettingError::new(
+                return Err(SettingError::new(
                     "camera.width",
                     format!(
                         "an equirectangular image is twice as wide as high, not {width}x{height}"
@@ -41,9 +26,9 @@ pub(crate) fn camera(settings: &types::Camera) -> Result<Camera, CameraSettingEr
             }
             CameraModel::Equirectangular { lens_distance_m: settings.lens_distance_m }
         }
-        types::CameraModel::DualFisheye => {
+        Projection::DualFisheye => {
             let [one, other] = settings.lenses.as_slice() else {
-                return Err(CameraSettingError::new(
+                return Err(SettingError::new(
                     "camera.lenses",
                     format!(
                         "a dual fisheye camera has two lenses, not {}. Cure: list both, as \
@@ -55,17 +40,17 @@ pub(crate) fn camera(settings: &types::Camera) -> Result<Camera, CameraSettingEr
             };
             CameraModel::DualFisheye([lens(0, one)?, lens(1, other)?])
         }
-        types::CameraModel::Stereographic => {
+        Projection::Stereographic => {
             CameraModel::Stereographic { field_rad: settings.stereographic_field_deg.to_radians() }
         }
     };
     let key = match settings.projection {
-        types::CameraModel::Equirectangular => "camera.lens_distance_m",
-        types::CameraModel::DualFisheye => "camera.lenses",
-        types::CameraModel::Stereographic => "camera.stereographic_field_deg",
+        Projection::Equirectangular => "camera.lens_distance_m",
+        Projection::DualFisheye => "camera.lenses",
+        Projection::Stereographic => "camera.stereographic_field_deg",
     };
     let model = Camera::new(settings.width, settings.height, model)
-        .map_err(|error| CameraSettingError::new(key, error.to_string()))?;
+        .map_err(|error| SettingError::new(key, error))?;
     Ok(model.at_distance(settings.assumed_distance_m))
 }
 
@@ -73,7 +58,7 @@ pub(crate) fn camera(settings: &types::Camera) -> Result<Camera, CameraSettingEr
 ///
 /// # Errors
 /// Settings that describe no possible camera, with their keys in `simulator`.
-pub(crate) fn simulated_camera(pipeline: &types::Pipeline) -> Result<Camera, CameraSettingError> {
+pub(crate) fn simulated_camera(pipeline: &Pipeline) -> Result<Camera, SettingError> {
     let simulator = &pipeline.simulator;
     let mut settings = pipeline.camera.clone();
     if let Some(lens_distance_m) = simulator.lens_distance_m {
@@ -82,7 +67,7 @@ pub(crate) fn simulated_camera(pipeline: &types::Pipeline) -> Result<Camera, Cam
     if !simulator.lenses.is_empty() {
         settings.lenses.clone_from(&simulator.lenses);
     }
-    camera(&settings).map_err(|CameraSettingError { key, reason }| {
+    camera(&settings).map_err(|SettingError { key, reason }| {
         // What is not the simulator's own is the camera's.
         let is_own = match key.strip_prefix("camera.") {
             Some("lens_distance_m") => simulator.lens_distance_m.is_some(),
@@ -90,18 +75,14 @@ pub(crate) fn simulated_camera(pipeline: &types::Pipeline) -> Result<Camera, Cam
             None => false,
         };
         let key = if is_own { key.replacen("camera", "simulator", 1) } else { key };
-        CameraSettingError { key, reason }
+        SettingError { key, reason }
     })
 }
 
-/// The code of the camera's transfer curve, and its gamma where it has one.
-pub(crate) fn transfer(settings: &types::Camera) -> (Transfer, f32) {
-    match settings.response {
-        Response::Srgb => (Transfer::Srgb, 0.0),
-        Response::Gamma => (Transfer::Gamma, settings.gamma),
-        Response::Linear => (Transfer::Linear, 0.0),
-        Response::Table => (Transfer::Table, 0.0),
-    }
+/// The camera's transfer curve, and its gamma where it has one.
+pub(crate) fn transfer(settings: &CameraSettings) -> (Transfer, f32) {
+    let has_gamma = settings.response == Transfer::Gamma;
+    (settings.response, if has_gamma { settings.gamma } else { 0.0 })
 }
 
 /// The radiance of each code if the camera's response is a measured table; `None` for the curves that
@@ -110,11 +91,11 @@ pub(crate) fn transfer(settings: &types::Camera) -> (Transfer, f32) {
 /// # Errors
 /// As [`response_table`].
 pub(crate) fn measured_response(
-    settings: &types::Camera,
-) -> Result<Option<[f32; 256]>, CameraSettingError> {
+    settings: &CameraSettings,
+) -> Result<Option<[f32; 256]>, SettingError> {
     match settings.response {
-        Response::Table => response_table(settings).map(Some),
-        Response::Srgb | Response::Gamma | Response::Linear => Ok(None),
+        Transfer::Table => response_table(settings).map(Some),
+        Transfer::Srgb | Transfer::Gamma | Transfer::Linear => Ok(None),
     }
 }
 
@@ -122,9 +103,9 @@ pub(crate) fn measured_response(
 ///
 /// # Errors
 /// Fewer than two entries, or entries that do not rise.
-pub(crate) fn response_table(settings: &types::Camera) -> Result<[f32; 256], CameraSettingError> {
+pub(crate) fn response_table(settings: &CameraSettings) -> Result<[f32; 256], SettingError> {
     let given = &settings.response_table;
-    let fault = |reason: String| Err(CameraSettingError::new("camera.response_table", reason));
+    let fault = |reason: String| Err(SettingError::new("camera.response_table", reason));
     if given.len() < 2 {
         return fault(format!(
             "response: table needs the light of 2 to 256 codes, not of {}",
@@ -160,7 +141,7 @@ pub(crate) fn response_table(settings: &types::Camera) -> Result<[f32; 256], Cam
     }
 }
 
-fn lens(index: usize, lens: &FisheyeLens) -> Result<Lens, CameraSettingError> {
+fn lens(index: usize, lens: &FisheyeLens) -> Result<Lens, SettingError> {
     let key = |name: &str| format!("camera.lenses.{index}.{name}");
     let curve = match (lens.equidistant, lens.double_sphere, lens.unified) {
         (None, None, None) => LensCurve::Equidistant([0.0; 4]),
@@ -171,13 +152,13 @@ fn lens(index: usize, lens: &FisheyeLens) -> Result<Lens, CameraSettingError> {
         }
         _ => {
             let reason = "a lens has one curve: keep one of equidistant, double_sphere and unified";
-            return Err(CameraSettingError::new(format!("camera.lenses.{index}"), reason));
+            return Err(SettingError::new(format!("camera.lenses.{index}"), reason));
         }
     };
     let is_calibrated = curve != LensCurve::Equidistant([0.0; 4]);
     if is_calibrated && lens.focal_px.is_none() {
         let reason = "a calibrated curve needs the focal lengths it was calibrated with";
-        return Err(CameraSettingError::new(key("focal_px"), reason));
+        return Err(SettingError::new(key("focal_px"), reason));
     }
     let filling = Lens::equidistant(
         isometry(&lens.camera_from_lens),
@@ -198,7 +179,7 @@ mod tests {
     fn the_simulated_camera_has_its_own_lenses() {
         let pipeline = |overrides: &[&str]| {
             let overrides: Vec<String> = overrides.iter().map(|&text| text.into()).collect();
-            types::Pipeline::parse("", &overrides, "x")
+            Pipeline::parse("", &overrides, "x")
         };
         let distance = |camera: Camera| match camera.model() {
             CameraModel::Equirectangular { lens_distance_m } => *lens_distance_m,
@@ -227,7 +208,7 @@ mod tests {
     #[test]
     fn a_table_is_interpolated_between_its_entries() {
         let response_table = vec![1.0, 2.0, 5.0];
-        let settings = types::Camera { response_table, ..types::Camera::default() };
+        let settings = CameraSettings { response_table, ..CameraSettings::default() };
         let table = super::response_table(&settings).unwrap();
         assert_eq!((table[0], table[255]), (0.0, 1.0));
         assert!((table[64] - 0.25 * 64.0 / 127.5).abs() < 1e-6, "{}", table[64]);

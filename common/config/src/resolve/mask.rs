@@ -1,40 +1,15 @@
 //! What the configured camera cannot see.
 
 use std::fs::File;
-use std::io::BufReader;
-use std::path::{Path, PathBuf};
+use std::io::{self, BufReader};
+use std::path::Path;
 
 use flockeye_geometry::camera::Camera;
-use flockeye_geometry::mask::{Mask, MaskError};
+use flockeye_geometry::mask::Mask;
 
-/// Why `camera.mask` cannot be used.
-#[derive(Debug, thiserror::Error)]
-pub enum MaskFileError {
-    /// The file cannot be opened.
-    #[error("camera.mask: cannot open {path}: {error}")]
-    Open {
-        /// The file.
-        path: PathBuf,
-        /// The system's reason.
-        error: std::io::Error,
-    },
-    /// The file is no picture.
-    #[error("camera.mask: {path} is no PNG image: {error}")]
-    Decode {
-        /// The file.
-        path: PathBuf,
-        /// The decoder's reason.
-        error: png::DecodingError,
-    },
-    /// The picture does not fit the frames.
-    #[error("camera.mask: {path}: {error}")]
-    Size {
-        /// The file.
-        path: PathBuf,
-        /// What does not fit.
-        error: MaskError,
-    },
-}
+use super::error::SettingError;
+
+const KEY: &str = "camera.mask";
 
 /// Pixels of a mask darker than this are hidden.
 const HIDDEN_BELOW: u8 = 128;
@@ -44,18 +19,22 @@ const HIDDEN_BELOW: u8 = 128;
 ///
 /// # Errors
 /// The file cannot be read, or is of another size than the frames.
-pub(crate) fn mask(path: Option<&Path>, camera: &Camera) -> Result<Mask, MaskFileError> {
+pub(crate) fn mask(path: Option<&Path>, camera: &Camera) -> Result<Mask, SettingError> {
     let Some(path) = path else { return Ok(Mask::nothing_hidden(*camera)) };
     let (sides, seen) = read_mask(path, camera)?;
     Mask::new(*camera, sides, seen)
-        .map_err(|error| MaskFileError::Size { path: path.to_owned(), error })
+        .map_err(|error| SettingError::new(KEY, format!("{}: {error}", path.display())))
 }
 
 /// The sides of a mask's picture, and, if they are the camera's, which of its pixels are bright, row
 /// by row.
-fn read_mask(path: &Path, camera: &Camera) -> Result<([u32; 2], Vec<bool>), MaskFileError> {
-    let open = |error| MaskFileError::Open { path: path.to_owned(), error };
-    let decode = |error| MaskFileError::Decode { path: path.to_owned(), error };
+fn read_mask(path: &Path, camera: &Camera) -> Result<([u32; 2], Vec<bool>), SettingError> {
+    let path_text = path.display();
+    let open =
+        |error: io::Error| SettingError::new(KEY, format!("cannot open {path_text}: {error}"));
+    let decode = |error: png::DecodingError| {
+        SettingError::new(KEY, format!("{path_text} is no PNG image: {error}"))
+    };
     let file = BufReader::new(File::open(path).map_err(open)?);
     let mut decoder = png::Decoder::new(file);
     decoder.set_transformations(png::Transformations::normalize_to_color8());
@@ -88,6 +67,7 @@ mod tests {
     #![allow(clippy::unwrap_used, clippy::expect_used)]
     use super::*;
     use flockeye_geometry::camera::CameraModel;
+    use std::path::PathBuf;
 
     /// A mask in the folder for temporary files, for one test to write and to remove.
     fn write_mask(name: &str, width: u32, height: u32, pixels: &[u8]) -> PathBuf {
@@ -98,7 +78,7 @@ mod tests {
         path
     }
 
-    fn read(path: &Path) -> Result<Mask, MaskFileError> {
+    fn read(path: &Path) -> Result<Mask, SettingError> {
         let model = CameraModel::Equirectangular { lens_distance_m: 0.0 };
         mask(Some(path), &Camera::new(128, 64, model).unwrap())
     }

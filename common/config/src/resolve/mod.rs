@@ -2,6 +2,7 @@
 
 mod bodies;
 mod camera;
+mod error;
 mod mask;
 mod mount;
 mod sphere;
@@ -12,44 +13,25 @@ use flockeye_contract::Transfer;
 use flockeye_geometry::body::Bodies;
 use flockeye_geometry::camera::Camera;
 use flockeye_geometry::mask::Mask;
-use flockeye_geometry::partition::PartitionError;
-use flockeye_geometry::search::RoiOptions;
+use flockeye_geometry::search::{ROI_SIZE_MAX_PX, RoiOptions};
 use flockeye_geometry::view::View;
 use nalgebra::Isometry3;
 
 use crate::types::Pipeline;
 
-pub use bodies::{BodySetError, bodies, read_bodies};
-pub use camera::CameraSettingError;
-pub use mask::MaskFileError;
+pub use bodies::{bodies, read_bodies};
+pub use error::{ResolveError, SettingError};
 pub use mount::isometry;
-pub use sphere::{Division, SphereViewsError};
+pub use sphere::Division;
 
 // What the check of a configuration needs of each part before all of them are right.
 pub(crate) use bodies::preset_body;
 pub(crate) use camera::{camera, response_table, simulated_camera};
-pub(crate) use sphere::high_resolution_tiles;
+pub(crate) use sphere::{PARTITION, high_resolution_tiles};
 
 /// Tiles searched after the regions of interest in each frame with `profile: unlimited`: a third of the
 /// default partitions, so that the sphere is swept within a few frames and no frame takes much longer than another.
 const UNLIMITED_TILES: usize = 4;
-
-/// Why a configuration cannot be resolved.
-#[derive(Debug, thiserror::Error)]
-pub enum ResolveError {
-    /// The bodies are invalid.
-    #[error(transparent)]
-    Bodies(#[from] BodySetError),
-    /// The camera is invalid.
-    #[error(transparent)]
-    Camera(#[from] CameraSettingError),
-    /// The sphere has no views.
-    #[error(transparent)]
-    Views(#[from] SphereViewsError),
-    /// A margin that leaves no view.
-    #[error("partition: {0}")]
-    Partition(#[from] PartitionError),
-}
 
 /// A configuration, and what is computed from it: bodies with their geometry, the camera, the views that
 /// cover its sphere. Built once for each process.
@@ -96,7 +78,8 @@ impl Resolved {
     /// As [`Resolved::of`], but no file of bodies is read.
     pub fn with_bodies(pipeline: Pipeline, bodies: Bodies) -> Result<Self, ResolveError> {
         let camera = camera(&pipeline.camera)?;
-        let division = Division::of(&pipeline.partition, bodies.largest_side())?;
+        let division = Division::of(&pipeline.partition, bodies.largest_side())
+            .map_err(sphere::of_partition)?;
         Ok(Self {
             observer_from_camera: isometry(&pipeline.observer.observer_from_camera),
             transfer: camera::transfer(&pipeline.camera),
@@ -120,7 +103,7 @@ impl Resolved {
     ///
     /// # Errors
     /// The file cannot be read, or is of another size than the frames.
-    pub fn mask(&self) -> Result<&Mask, MaskFileError> {
+    pub fn mask(&self) -> Result<&Mask, SettingError> {
         match self.mask.get() {
             Some(mask) => Ok(mask),
             None => {
@@ -135,7 +118,7 @@ impl Resolved {
     ///
     /// # Errors
     /// The file cannot be read, or has other ids or another dictionary.
-    pub fn simulated_bodies(&self) -> Result<Bodies, BodySetError> {
+    pub fn simulated_bodies(&self) -> Result<Bodies, ResolveError> {
         match &self.pipeline.simulator.bodies {
             Some(path) => bodies::simulated_bodies(&self.bodies, path),
             None => Ok(self.bodies.clone()),
@@ -146,7 +129,7 @@ impl Resolved {
     ///
     /// # Errors
     /// Lenses that no camera has.
-    pub fn simulated_camera(&self) -> Result<Camera, CameraSettingError> {
+    pub fn simulated_camera(&self) -> Result<Camera, SettingError> {
         simulated_camera(&self.pipeline)
     }
 
@@ -154,6 +137,6 @@ impl Resolved {
     pub fn largest_view_px(&self) -> u32 {
         let views = self.partition_views.iter().chain(&self.high_resolution_tiles);
         let largest = views.map(|view| view.size_px).max().unwrap_or(0);
-        largest.max(self.roi_options.size_max_px)
+        largest.max(ROI_SIZE_MAX_PX)
     }
 }

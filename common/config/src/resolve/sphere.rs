@@ -9,35 +9,8 @@ use flockeye_geometry::camera::Camera;
 use flockeye_geometry::partition::{self, Method, Partition, PartitionError};
 use flockeye_geometry::view::View;
 
-use crate::types::{self, Pipeline};
-
-/// Why the sphere has no views.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub enum SphereViewsError {
-    /// A margin that leaves no view.
-    #[error("partition: {0}")]
-    Partition(#[from] PartitionError),
-    /// Views that no message can carry.
-    #[error(
-        "partition.count: {count} views of this camera's sphere have {size_px} px a side, and a view \
-         has {MAX_VIEW_PX} at most. Cure: more views, a larger partition.nearest_m, or smaller frames"
-    )]
-    TooLarge {
-        /// How many views.
-        count: usize,
-        /// Their side, pixels.
-        size_px: u32,
-    },
-    /// Far views that no message can carry.
-    #[error(
-        "search.far_magnification: high-resolution tiles of this camera's sphere have {size_px} px a side, and a \
-         view has {MAX_VIEW_PX} at most. Cure: a smaller magnification, or smaller frames"
-    )]
-    TilesTooLarge {
-        /// Their side, pixels.
-        size_px: u32,
-    },
-}
+use super::error::SettingError;
+use crate::types::{PartitionSettings, Pipeline};
 
 /// Overlap of the high-resolution tiles, radians. Small, because the neighbours searched there are far away and
 /// their markers look small.
@@ -48,6 +21,13 @@ fn too_large(views: &[View]) -> Option<u32> {
     views.iter().map(|view| view.size_px).max().filter(|&size_px| size_px > MAX_VIEW_PX)
 }
 
+/// The key of what is wrong with a partition.
+pub(crate) const PARTITION: &str = "partition";
+
+pub(crate) fn of_partition(error: PartitionError) -> SettingError {
+    SettingError::new(PARTITION, error)
+}
+
 /// Method and number of views.
 type Key = (Method, usize);
 
@@ -55,7 +35,7 @@ type Key = (Method, usize);
 static FOUND: Mutex<Vec<(Key, Partition)>> = Mutex::new(Vec::new());
 
 /// The directions that share the sphere: every process of a pipeline finds the same.
-fn partition(settings: &types::Partition) -> Result<Partition, PartitionError> {
+fn partition(settings: &PartitionSettings) -> Result<Partition, PartitionError> {
     let (method, count, seed) = (settings.method.into(), settings.count, partition::STORED_SEED);
     let key = (method, count);
     if Partition::is_stored(method, count, seed) {
@@ -94,7 +74,7 @@ impl Division {
     /// # Errors
     /// A number of views for which there is no partition, or a margin that leaves no view.
     pub(crate) fn of(
-        settings: &types::Partition,
+        settings: &PartitionSettings,
         largest_marker_m: f64,
     ) -> Result<Self, PartitionError> {
         let partition = partition(settings)?;
@@ -111,13 +91,17 @@ impl Division {
         &self,
         pipeline: &Pipeline,
         camera: &Camera,
-    ) -> Result<Vec<View>, SphereViewsError> {
+    ) -> Result<Vec<View>, SettingError> {
         let pixels_per_radian = camera.pixels_per_radian() * pipeline.tile_magnification();
-        let views = self.partition.views(self.margin_rad, pixels_per_radian)?;
-        match too_large(&views) {
-            Some(size_px) => Err(SphereViewsError::TooLarge { count: views.len(), size_px }),
-            None => Ok(views),
-        }
+        let views = self.partition.views(self.margin_rad, pixels_per_radian);
+        let views = views.map_err(of_partition)?;
+        let Some(size_px) = too_large(&views) else { return Ok(views) };
+        let reason = format!(
+            "{} views of this camera's sphere have {size_px} px a side, and a view has {MAX_VIEW_PX} at \
+             most. Cure: more views, a larger partition.nearest_m, or smaller frames",
+            views.len()
+        );
+        Err(SettingError::new("partition.count", reason))
     }
 }
 
@@ -130,16 +114,20 @@ impl Division {
 pub(crate) fn high_resolution_tiles(
     pipeline: &Pipeline,
     camera: &Camera,
-) -> Result<Vec<View>, SphereViewsError> {
+) -> Result<Vec<View>, SettingError> {
     let far_magnification = pipeline.search.far_magnification;
     if !pipeline.has_regions() || far_magnification <= pipeline.tile_magnification() {
         return Ok(Vec::new());
     }
     let count = *partition::STORED.end();
-    let partition = Partition::of(Method::Covering, count, partition::STORED_SEED)?;
-    let views = partition.views(FAR_MARGIN_RAD, camera.pixels_per_radian() * far_magnification)?;
-    match too_large(&views) {
-        Some(size_px) => Err(SphereViewsError::TilesTooLarge { size_px }),
-        None => Ok(views),
-    }
+    let partition = Partition::of(Method::Covering, count, partition::STORED_SEED);
+    let pixels_per_radian = camera.pixels_per_radian() * far_magnification;
+    let views = partition.and_then(|partition| partition.views(FAR_MARGIN_RAD, pixels_per_radian));
+    let views = views.map_err(of_partition)?;
+    let Some(size_px) = too_large(&views) else { return Ok(views) };
+    let reason = format!(
+        "high-resolution tiles of this camera's sphere have {size_px} px a side, and a view has \
+         {MAX_VIEW_PX} at most. Cure: a smaller magnification, or smaller frames"
+    );
+    Err(SettingError::new("search.far_magnification", reason))
 }

@@ -27,9 +27,6 @@ pub struct Autopilot {
     /// How often the autopilot is asked to send its odometry, each second; 0: it is not asked.
     #[schemars(range(min = 0.0, max = 100.0))]
     pub odometry_hz: f64,
-    /// A neighbour that was last seen longer ago is left out, milliseconds.
-    #[schemars(range(min = 50, max = 5000))]
-    pub max_age_ms: u32,
     /// Nearest and farthest distance at which a neighbour is an obstacle, metres.
     pub obstacle_range_m: [f64; 2],
 }
@@ -44,7 +41,6 @@ impl Default for Autopilot {
             target_hz: 20.0,
             obstacles_hz: 15.0,
             odometry_hz: 30.0,
-            max_age_ms: 500,
             obstacle_range_m: [0.0, 50.0],
         }
     }

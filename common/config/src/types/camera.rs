@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use flockeye_contract::{Projection, Transfer};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -10,7 +11,8 @@ use super::mount::Mount;
 /// The spherical camera.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
-pub struct Camera {
+#[schemars(rename = "Camera")]
+pub struct CameraSettings {
     /// Pixels in a row.
     #[schemars(range(min = 64, max = 16384))]
     pub width: u32,
@@ -18,7 +20,7 @@ pub struct Camera {
     #[schemars(range(min = 32, max = 8192))]
     pub height: u32,
     /// The camera model.
-    pub projection: CameraModel,
+    pub projection: Projection,
     /// Of an equirectangular camera: the distance between the two lenses it was stitched from, one
     /// looking ahead and one back, metres; 0 for a camera with one centre.
     #[schemars(range(min = 0.0, max = 1.0))]
@@ -37,7 +39,7 @@ pub struct Camera {
     /// everything is visible.
     pub mask: Option<PathBuf>,
     /// The curve between light and code values.
-    pub response: Response,
+    pub response: Transfer,
     /// Exponent of `response: gamma`.
     #[schemars(range(min = 0.1, max = 10.0))]
     pub gamma: f32,
@@ -57,18 +59,18 @@ pub struct Camera {
     pub exposure_ms: f64,
 }
 
-impl Default for Camera {
+impl Default for CameraSettings {
     fn default() -> Self {
         Self {
             width: 3840,
             height: 1920,
-            projection: CameraModel::Equirectangular,
+            projection: Projection::Equirectangular,
             lens_distance_m: 0.0,
             lenses: Vec::new(),
             stereographic_field_deg: 300.0,
             assumed_distance_m: 1.5,
             mask: None,
-            response: Response::Srgb,
+            response: Transfer::Srgb,
             gamma: 2.2,
             response_table: Vec::new(),
             latency_ms: 0.0,
@@ -76,19 +78,6 @@ impl Default for Camera {
             exposure_ms: 0.0,
         }
     }
-}
-
-/// The camera model.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum CameraModel {
-    /// Longitude along the rows, latitude along the columns; twice as wide as high.
-    #[default]
-    Equirectangular,
-    /// Two fisheye lenses, each with its image circle.
-    DualFisheye,
-    /// The paper's plane: stereographic about the camera's x axis.
-    Stereographic,
 }
 
 /// A fisheye lens of a dual fisheye camera.
@@ -115,19 +104,4 @@ pub struct FisheyeLens {
     /// Calibrated xi, k1, k2, p1, p2 of the unified model with a pinhole's distortion (Kalibr's
     /// `omni-radtan`, camodocal's `MEI`).
     pub unified: Option<[f64; 5]>,
-}
-
-/// The curve between light and code values.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum Response {
-    /// The sRGB curve.
-    #[default]
-    Srgb,
-    /// code = light^(1/gamma).
-    Gamma,
-    /// Code values proportional to light.
-    Linear,
-    /// As `response_table` says.
-    Table,
 }

@@ -25,34 +25,34 @@ mod stages;
 
 pub use autopilot::Autopilot;
 pub use bodies::{BodySet, Preset, PresetBody};
-pub use camera::{Camera, CameraModel, FisheyeLens, Response};
+pub use camera::{CameraSettings, FisheyeLens};
 pub use costs::Costs;
 pub use gateway::{Gateway, GatewayMode, Security};
 pub use inertial::{Inertial, InertialSource};
 pub use mavlink::MavlinkAddress;
 pub use metrics::Metrics;
 pub use mount::Mount;
-pub use partition::{Method, Partition};
+pub use partition::{PartitionMethod, PartitionSettings};
 pub use profile::{Flow, FrameLimit, Profile};
 pub use recording::{RecordedFrames, Recording, RecordingTrigger};
 pub use ros2::Ros2;
-pub use search::Search;
+pub use search::SearchSettings;
 pub use simulator::{SimulatedInertial, SimulatedSun, SimulatedSwarm, Simulator};
 pub use source::{AtEnd, Source};
-pub use stages::{Restart, Scheduling, StageInfo, StageProcess, Stages};
+pub use stages::{Restart, Scheduling, StageProcess, Stages, may_have_replicas, usual_nice};
 
 /// A Flockeye pipeline.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Pipeline {
     /// Name of this pipeline on this machine: two run side by side under two names.
-    pub instance: Instance,
+    pub instance: InstanceName,
     /// How it runs: flight, repeat, unlimited or stills.
     pub profile: Profile,
     /// This drone.
     pub observer: Observer,
     /// The spherical camera.
-    pub camera: Camera,
+    pub camera: CameraSettings,
     /// What the neighbours carry.
     pub bodies: BodySet,
     /// Where frames come from.
@@ -64,13 +64,13 @@ pub struct Pipeline {
     /// How the camera's own rotation is measured.
     pub egomotion: Egomotion,
     /// How the sphere is cut.
-    pub partition: Partition,
+    pub partition: PartitionSettings,
     /// How views are cut from frames.
     pub rectification: Rectification,
     /// How markers are found in views.
     pub detection: Detection,
     /// How fusion searches.
-    pub search: Search,
+    pub search: SearchSettings,
     /// How poses are solved and filtered.
     pub fusion: Fusion,
     /// What goes over the network.
@@ -97,7 +97,8 @@ impl Pipeline {
 
     /// How many processes run a stage, if it runs.
     pub fn replicas(&self, stage: StageName) -> u32 {
-        self.stages.of(stage).replicas.unwrap_or(StageInfo::of(stage).replicas)
+        let usual = if may_have_replicas(stage) { 2 } else { 1 };
+        self.stages.of(stage).replicas.unwrap_or(usual)
     }
 
     /// How long a frame is exposed, seconds, if that is known.
@@ -153,9 +154,10 @@ impl Default for Supervision {
 /// Name of a pipeline on a machine: letters, digits, `-` and `_`, at most 31.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(transparent)]
-pub struct Instance(pub String);
+#[schemars(rename = "Instance")]
+pub struct InstanceName(pub String);
 
-impl Default for Instance {
+impl Default for InstanceName {
     fn default() -> Self {
         Self("flockeye".into())
     }
@@ -273,9 +275,6 @@ pub struct Fusion {
     /// one second, a known velocity is uncertain by as many m/s.
     #[schemars(range(min = 0.01, max = 1000.0))]
     pub acceleration: f64,
-    /// The same of their rotation, rad/s^2 per root Hz.
-    #[schemars(range(min = 0.01, max = 1000.0))]
-    pub angular_acceleration: f64,
     /// How long a frame is waited for when a stage has died, milliseconds; ten times as long
     /// with `profile: stills`.
     #[schemars(range(min = 10.0, max = 60000.0))]
@@ -304,7 +303,6 @@ impl Default for Fusion {
         Self {
             coast_s: policy.coast_s,
             acceleration: policy.motion.acceleration,
-            angular_acceleration: policy.motion.angular_acceleration,
             deadline_ms: 3000.0,
             align: true,
             coding: Coding::Auto,

@@ -7,7 +7,8 @@ use serde::{Deserialize, Serialize};
 /// How the sphere is cut.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
-pub struct Partition {
+#[schemars(rename = "Partition")]
+pub struct PartitionSettings {
     /// How many views cover the sphere. Coverings by up to 32 are stored; more are found at the start,
     /// which takes some seconds.
     #[schemars(
@@ -17,19 +18,19 @@ pub struct Partition {
     pub count: usize,
     /// covering: the smallest circles that leave no gap. paper: spread points, then grow circles
     /// round them (found at the start).
-    pub method: Method,
+    pub method: PartitionMethod,
     /// Nearest working range, metres. Views overlap by the size of the largest marker there, so that it
     /// lies wholly in one of them.
     #[schemars(range(min = 0.1, max = 100.0))]
     pub nearest_m: f64,
 }
 
-impl Default for Partition {
+impl Default for PartitionSettings {
     fn default() -> Self {
         Self {
             // The least by the paper's criterion (`flockeye partition`).
             count: 12,
-            method: Method::Covering,
+            method: PartitionMethod::Covering,
             nearest_m: 0.4,
         }
     }
@@ -38,7 +39,8 @@ impl Default for Partition {
 /// How the directions of the views are found.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
-pub enum Method {
+#[schemars(rename = "Method")]
+pub enum PartitionMethod {
     /// The smallest circles that leave no gap.
     #[default]
     Covering,
@@ -46,11 +48,11 @@ pub enum Method {
     Paper,
 }
 
-impl From<Method> for partition::Method {
-    fn from(method: Method) -> Self {
+impl From<PartitionMethod> for partition::Method {
+    fn from(method: PartitionMethod) -> Self {
         match method {
-            Method::Covering => Self::Covering,
-            Method::Paper => Self::Paper,
+            PartitionMethod::Covering => Self::Covering,
+            PartitionMethod::Paper => Self::Paper,
         }
     }
 }

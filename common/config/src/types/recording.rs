@@ -17,9 +17,6 @@ pub struct Recording {
     /// With `frames: every`: of so many frames one is recorded.
     #[schemars(range(min = 1, max = 1_000_000))]
     pub every: u32,
-    /// Another file begins after so much, 10^6 bytes.
-    #[schemars(range(min = 1, max = 1_000_000))]
-    pub split_mb: u32,
     /// Left out: everything is recorded. lost: what came before a neighbour's track was lost, or before
     /// `flockeye record --now`. request: before that command alone.
     pub trigger: Option<RecordingTrigger>,
@@ -30,14 +27,7 @@ pub struct Recording {
 
 impl Default for Recording {
     fn default() -> Self {
-        Self {
-            folder: None,
-            frames: RecordedFrames::None,
-            every: 30,
-            split_mb: 1000,
-            trigger: None,
-            past_s: 30.0,
-        }
+        Self { folder: None, frames: RecordedFrames::None, every: 30, trigger: None, past_s: 30.0 }
     }
 }
 

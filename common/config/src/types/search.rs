@@ -9,7 +9,8 @@ use super::Costs;
 /// How fusion searches.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
-pub struct Search {
+#[schemars(rename = "Search")]
+pub struct SearchSettings {
     /// greedy and optimized are the paper's; exhaustive searches everywhere; roi (the default) searches
     /// where neighbours are predicted and sweeps the rest.
     pub mode: SearchMode,
@@ -30,7 +31,7 @@ pub struct Search {
     pub proposals: u32,
 }
 
-impl Default for Search {
+impl Default for SearchSettings {
     fn default() -> Self {
         Self {
             mode: SearchMode::Roi,

@@ -74,6 +74,13 @@ pub enum Scheduling {
     RoundRobin,
 }
 
+impl Scheduling {
+    /// Whether threads of this class go before all threads that are not in real time.
+    pub fn is_real_time(self) -> bool {
+        matches!(self, Self::Fifo | Self::RoundRobin)
+    }
+}
+
 impl Default for StageProcess {
     fn default() -> Self {
         Self {
@@ -125,33 +132,23 @@ impl Stages {
     }
 }
 
-/// What holds for a stage where pipeline.yaml says nothing else. Every stage may be started again
-/// (`restart`).
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct StageInfo {
-    /// How many processes run it.
-    pub replicas: u32,
-    /// Whether it may run in several processes.
-    pub may_have_replicas: bool,
-    /// Nice value.
-    pub nice: i32,
+/// Whether a stage may run in several processes. Every stage may be started again (`restart`).
+pub const fn may_have_replicas(stage: StageName) -> bool {
+    matches!(stage, StageName::Detection)
 }
 
-impl StageInfo {
-    /// The row of one stage.
-    pub const fn of(stage: StageName) -> Self {
-        match stage {
-            // No tracked neighbour's pose waits for either of them, so they give way.
-            StageName::Egomotion => Self { replicas: 1, may_have_replicas: false, nice: 5 },
-            StageName::Detection => Self { replicas: 2, may_have_replicas: true, nice: 5 },
-            StageName::Capture
-            | StageName::Simulator
-            | StageName::Inertial
-            | StageName::Rectification
-            | StageName::Fusion
-            | StageName::Autopilot
-            | StageName::Gateway
-            | StageName::Ros2 => Self { replicas: 1, may_have_replicas: false, nice: 0 },
-        }
+/// The nice value of a stage where pipeline.yaml has none. No tracked neighbour's pose waits for
+/// egomotion or detection, so they give way.
+pub const fn usual_nice(stage: StageName) -> i32 {
+    match stage {
+        StageName::Egomotion | StageName::Detection => 5,
+        StageName::Capture
+        | StageName::Simulator
+        | StageName::Inertial
+        | StageName::Rectification
+        | StageName::Fusion
+        | StageName::Autopilot
+        | StageName::Gateway
+        | StageName::Ros2 => 0,
     }
 }

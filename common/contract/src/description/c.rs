@@ -1,8 +1,7 @@
 //! The contract in C.
 
-use super::{Codes, Field, Kind, TopicDescription, TypeDescription};
-use super::{codes, constant, snake_case, topics, types};
-use crate::{CONTRACT_VERSION, NONE, VERSION_ATTRIBUTE};
+use super::{Field, Kind, TypeDescription, codes, constant, snake_case, types};
+use crate::{CONTRACT_VERSION, NONE, TOPICS, VERSION_ATTRIBUTE};
 
 const BEGINNING: &str = "\
 /* The contract's types, codes and topics: what docs/CONTRACT.md describes.
@@ -25,19 +24,19 @@ pub fn c_header() -> String {
     text += &format!("#define FLOCKEYE_VERSION_ATTRIBUTE \"{VERSION_ATTRIBUTE}\"\n");
     text += &format!("/* Of an index that points nowhere. */\n#define FLOCKEYE_NONE {NONE}u\n");
     text += "\n/* Names of the services. A topic with lanes has one for each detection worker, NAME/0 and so on. */\n";
-    for TopicDescription { service, header, item, has_lanes } in topics() {
-        let item = match item {
-            Kind::Type(name) => format!("flockeye_{}", snake_case(name)),
-            _ => "uint8_t".to_owned(),
+    for topic in TOPICS {
+        let item = match topic.item {
+            "u8" => "uint8_t".to_owned(),
+            name => format!("flockeye_{}", snake_case(name)),
         };
-        let lanes = if has_lanes { ", with lanes" } else { "" };
-        let header = snake_case(header);
+        let lanes = if topic.has_lanes() { ", with lanes" } else { "" };
+        let (constant, service, header) =
+            (constant(topic.name), topic.name, snake_case(topic.header));
         text += &format!(
-            "#define FLOCKEYE_TOPIC_{} \"{service}\" /* flockeye_{header}, {item}{lanes} */\n",
-            constant(service)
+            "#define FLOCKEYE_TOPIC_{constant} \"{service}\" /* flockeye_{header}, {item}{lanes} */\n"
         );
     }
-    for Codes { name, values } in codes() {
+    for (name, values) in codes() {
         let name = snake_case(name);
         text += &format!("\nenum flockeye_{name} {{\n");
         for (code, value) in values.iter().enumerate() {

@@ -1,8 +1,7 @@
 //! The contract in Python, for ctypes.
 
-use super::{Codes, Field, Kind, TopicDescription, TypeDescription};
-use super::{codes, constant, snake_case, topics, types};
-use crate::{CONTRACT_VERSION, NONE, VERSION_ATTRIBUTE};
+use super::{Field, Kind, TypeDescription, codes, constant, snake_case, types};
+use crate::{CONTRACT_VERSION, NONE, TOPICS, VERSION_ATTRIBUTE};
 
 const BEGINNING: &str = r#""""The contract's types, codes and topics: what docs/CONTRACT.md describes.
 
@@ -46,7 +45,7 @@ pub fn python_module() -> String {
     text += &format!("CONTRACT_VERSION = \"{CONTRACT_VERSION}\"\n");
     text += &format!("VERSION_ATTRIBUTE = \"{VERSION_ATTRIBUTE}\"\n");
     text += &format!("# Of an index that points nowhere.\nNONE = {NONE:#X}\n");
-    for Codes { name, values } in codes() {
+    for (name, values) in codes() {
         text += &format!("\n\nclass {name}(IntEnum):\n");
         for (code, value) in values.iter().enumerate() {
             text += &format!("    {} = {code}\n", snake_case(value).to_uppercase());
@@ -61,9 +60,10 @@ pub fn python_module() -> String {
         text += "    ]\n";
     }
     text += "\n\n";
-    for TopicDescription { service, header, item, has_lanes } in topics() {
-        let lanes = if has_lanes { ", has_lanes=True" } else { "" };
-        let (constant, item) = (constant(service), type_of(&item));
+    for topic in TOPICS {
+        let lanes = if topic.has_lanes() { ", has_lanes=True" } else { "" };
+        let item = if topic.item == "u8" { "c_uint8" } else { topic.item };
+        let (constant, service, header) = (constant(topic.name), topic.name, topic.header);
         text += &format!("{constant} = Topic(\"{service}\", {header}, {item}{lanes})\n");
     }
     let names: Vec<_> = types().iter().map(|known| known.name).collect();

@@ -22,56 +22,30 @@ pub use keys::{
 pub const MAX_TARGETS: usize = 64;
 
 /// Why a report from the network was refused.
+#[expect(missing_docs, reason = "the texts name the fields")]
 #[derive(Debug, thiserror::Error)]
 pub enum WireError {
     /// Longer than any report may be.
     #[error("a report of {found} bytes (at most {most})")]
-    TooLong {
-        /// Its length.
-        found: usize,
-        /// The most allowed.
-        most: usize,
-    },
+    TooLong { found: usize, most: usize },
     /// Not JSON, or not of this form.
     #[error("not a report: {0}")]
     Json(#[from] serde_json::Error),
     /// A schema that this version does not know.
     #[error("schema '{found}' instead of '{wanted}'")]
-    Schema {
-        /// What it says, at most 40 characters of it.
-        found: String,
-        /// What is read under this key.
-        wanted: &'static str,
-    },
+    Schema { found: String, wanted: &'static str },
     /// Invalid numbers.
     #[error("{what} is not finite, not a rotation or not a variance")]
-    Number {
-        /// Which.
-        what: &'static str,
-    },
+    Number { what: &'static str },
     /// A name that cannot be one.
     #[error("'{found}' is no name: 1 to {MAX_NAME_CHARS} letters, digits, '-', '_' or '.'")]
-    Name {
-        /// What it says, at most 40 characters of it.
-        found: String,
-    },
+    Name { found: String },
     /// The same target twice in one frame.
     #[error("target '{target}' twice in one frame")]
-    Twice {
-        /// Which.
-        target: String,
-    },
+    Twice { target: String },
     /// More targets than an observer may report on.
     #[error("{found} targets (at most {MAX_TARGETS})")]
-    TooManyTargets {
-        /// How many.
-        found: usize,
-    },
-}
-
-/// JSON Schemas of what goes over the network, by the name of the file in `docs/schemas/`.
-pub fn json_schemas() -> [(&'static str, schemars::Schema); 1] {
-    [("frame-report-2.json", schemars::schema_for!(FrameReport))]
+    TooManyTargets { found: usize },
 }
 
 /// Text from outside, shortened and escaped for a log line.

@@ -126,8 +126,8 @@ pub(super) fn given(
 }
 
 impl Facet {
-    /// Whether the marker looks the same way, and its corners lie on the facet, or `reach_m` at most
-    /// beside or over it.
+    /// Whether the marker looks the same way, and its corners lie on the facet, or `reach_m` at
+    /// most beside or over it.
     pub fn holds(&self, marker: &Marker, reach_m: f64) -> bool {
         let count = self.outline.len();
         let is_on = |corner: &Point3<f64>| {

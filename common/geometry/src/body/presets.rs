@@ -52,9 +52,9 @@ impl Default for TruncatedSizes {
 }
 
 /// The rhombicuboctahedron without its lower cupola (preset `truncated`): 17 ids from `first_id`:
-/// the belt at azimuth 0, 45 .. 315; the upper ring at 0, 90, 180, 270; the top; the upper triangles
-/// at 45, 135, 225, 315, which have small markers. The octagon below the belt is the mount. The
-/// printed up points to +z; on the top marker, to +x.
+/// the belt at azimuth 0, 45 .. 315; the upper ring at 0, 90, 180, 270; the top; the upper
+/// triangles at 45, 135, 225, 315, which have small markers. The octagon below the belt is the
+/// mount. The printed up points to +z; on the top marker, to +x.
 ///
 /// The origin is that of the whole solid: the triangles lie (3 + sqrt 2)/(2 sqrt 3) edges from it.
 pub fn truncated(name: &str, sizes: &TruncatedSizes, first_id: u32) -> Body {
@@ -80,8 +80,8 @@ pub fn truncated(name: &str, sizes: &TruncatedSizes, first_id: u32) -> Body {
 }
 
 /// A cube with a marker on each side but the bottom one, the mount (preset `cube`): 5 ids from
-/// `first_id`: the top; the sides at azimuth 0, 90, 180, 270. The printed up points to +z; on the top
-/// marker, to +x. `edge` and `marker_side` in metres.
+/// `first_id`: the top; the sides at azimuth 0, 90, 180, 270. The printed up points to +z; on the
+/// top marker, to +x. `edge` and `marker_side` in metres.
 pub fn cube(name: &str, edge: f64, marker_side: f64, first_id: u32) -> Body {
     let half = edge / 2.0;
     let directions = std::iter::once((0.0, FRAC_PI_2)).chain(ring(4, 0.0, 0.0));

@@ -2,7 +2,7 @@
 
 use nalgebra::Vector3;
 
-use super::{Camera, CameraModel, Equirectangular};
+use super::{Camera, CameraModel};
 use crate::Ray;
 
 /// What one of two lenses sees.
@@ -17,7 +17,8 @@ pub struct LensRay {
 }
 
 impl Camera {
-    /// Where the two lenses sit in the camera, metres; `None` for a camera that has one centre by its model.
+    /// Where the two lenses sit in the camera, metres; `None` for a camera that has one centre by
+    /// its model.
     pub fn lens_positions(&self) -> Option<[Vector3<f64>; 2]> {
         match &self.model {
             CameraModel::Equirectangular { lens_distance_m } => {
@@ -30,13 +31,13 @@ impl Camera {
         }
     }
 
-    /// What the lens sees that shows `ray_in_camera`, which is right for this camera's distance. `None` where
-    /// no lens shows it, or where the camera has one centre by its model.
+    /// What the lens sees that shows `ray_in_camera`, which is right for this camera's distance.
+    /// `None` where no lens shows it, or where the camera has one centre by its model.
     pub fn lens_ray(&self, ray_in_camera: &Ray) -> Option<LensRay> {
         let pixel = self.project(ray_in_camera)?;
         match &self.model {
             CameraModel::Equirectangular { .. } => {
-                let ray = Equirectangular { width: self.width, height: self.height }.ray(pixel);
+                let ray = self.sphere().ray(pixel);
                 let lens = usize::from(ray.x < 0.0);
                 Some(LensRay { lens, ray, from_seam_rad: ray.x.abs().min(1.0).asin() })
             }

@@ -11,12 +11,12 @@ use crate::Ray;
 /// paper's rho = sqrt(x^2 * y^2) is a misprint for sqrt(x^2 + y^2).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Stereographic {
-    /// The middle's column and row.
-    centre: [f64; 2],
+    /// The middle's column and row, pixels.
+    pub centre_px: [f64; 2],
     /// Radius of the image circle, pixels.
-    circle_px: f64,
-    /// The paper's R, pixels.
-    radius_px: f64,
+    pub circle_px: f64,
+    /// The paper's R: pixels for each radian in the middle.
+    pub radius_px: f64,
 }
 
 impl Stereographic {
@@ -24,30 +24,15 @@ impl Stereographic {
     pub fn new(width: u32, height: u32, field_rad: f64) -> Self {
         let circle_px = f64::from(width.min(height)) / 2.0;
         Self {
-            centre: [width, height].map(|side| (f64::from(side) - 1.0) / 2.0),
+            centre_px: [width, height].map(|side| (f64::from(side) - 1.0) / 2.0),
             circle_px,
             radius_px: circle_px / (2.0 * (field_rad / 4.0).tan()),
         }
     }
 
-    /// The middle's column and row, pixels.
-    pub fn centre_px(&self) -> [f64; 2] {
-        self.centre
-    }
-
-    /// Radius of the image circle, pixels.
-    pub fn circle_px(&self) -> f64 {
-        self.circle_px
-    }
-
-    /// The paper's R: pixels for each radian in the middle.
-    pub fn radius_px(&self) -> f64 {
-        self.radius_px
-    }
-
     /// The ray, in the camera frame, that `pixel` sees; `None` outside the circle.
     pub fn ray(&self, pixel: SpherePixel) -> Option<Ray> {
-        let [u, v] = [pixel.0.x - self.centre[0], pixel.0.y - self.centre[1]];
+        let [u, v] = [pixel.0.x - self.centre_px[0], pixel.0.y - self.centre_px[1]];
         if u.hypot(v) > self.circle_px {
             return None;
         }
@@ -63,6 +48,6 @@ impl Stereographic {
         let (u, v) = (-ray_in_camera.y * scale, -ray_in_camera.z * scale);
         // Infinite, or not a number, straight behind.
         (u.hypot(v) <= self.circle_px)
-            .then(|| SpherePixel::new(u + self.centre[0], v + self.centre[1]))
+            .then(|| SpherePixel::new(u + self.centre_px[0], v + self.centre_px[1]))
     }
 }

@@ -109,7 +109,8 @@ fn parallax_rad(camera: &Camera, ray: &Ray, metres: f64) -> f64 {
 }
 
 proptest! {
-    /// From its lens, a thing lies where that lens sees it, whatever distance the camera's rays are right for.
+    /// From its lens, a thing lies where that lens sees it, whatever distance the camera's rays are
+    /// right for.
     #[test]
     fn each_lens_sees_a_thing_from_its_own_place(ray in direction(), metres in 0.3..3.0f64) {
         for camera in cameras() {
@@ -119,7 +120,8 @@ proptest! {
             let seen = camera.lens_ray(&assumed).expect("a lens shows it");
             let lens = positions[seen.lens];
             let wanted = Unit::new_normalize(ray.into_inner() * metres - lens);
-            // Next to the seam the stitched camera's own pixel is shown, and a fisheye may leave it to the other.
+            // Next to the seam the stitched camera's own pixel is shown, and a fisheye may leave it
+            // to the other.
             let strip = lens.norm() * (1.0 / metres + camera.nearness()) + 1e-9;
             if seen.from_seam_rad > 2.0 * strip {
                 prop_assert!(between(&seen.ray, &wanted) < 1e-7, "{camera:?} {ray:?} {metres}");
@@ -225,7 +227,7 @@ fn the_stereographic_plane_is_the_papers() {
         // The paper's x is to the right and y up; its latitude and longitude, in words of atan2.
         let (x, y) = (u - 959.5, 539.5 - v);
         let rho = f64::hypot(x, y);
-        let c = 2.0 * (rho / (2.0 * plane.radius_px())).atan();
+        let c = 2.0 * (rho / (2.0 * plane.radius_px)).atan();
         let longitude = (x * c.sin()).atan2(rho * c.cos());
         let latitude = if rho > 0.0 { (y * c.sin() / rho).asin() } else { 0.0 };
         let ray = plane.ray(SpherePixel::new(u, v)).unwrap();

@@ -2,13 +2,14 @@
 
 use std::cmp::Ordering;
 use std::collections::VecDeque;
+use std::sync::LazyLock;
 
-use nalgebra::{Isometry3, Matrix6};
 use serde::{Deserialize, Serialize};
 
 use crate::ego_rotation::EgoRotation;
+use crate::pose::PoseEstimate;
 
-use super::{FilterError, Innovation, MotionModel, Prediction, Track, chi_square_gate};
+use super::{FilterError, MotionEstimate, MotionModel, check, chi_square_gate};
 
 /// Where a track is in its life.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -23,89 +24,79 @@ pub enum TrackState {
     Lost,
 }
 
+/// Frames among which the measurements are counted that confirm a track, at most 64.
+pub const CONFIRM_WINDOW: u32 = 5;
+/// Frames that come at most this much later than newer ones are put where they belong, seconds.
+pub const HISTORY_S: f64 = 0.5;
+/// Probability that a right measurement passes the gate.
+pub const GATE_PROBABILITY: f64 = 0.999;
+/// Number of measurements in a row outside the gate after which the track counts as wrong and
+/// begins anew from the last of them. A tentative track begins anew from the first.
+pub const RESTART_AFTER_GATED: u32 = 3;
+
+/// The largest squared distance of a measurement that passes the gate.
+static GATE: LazyLock<f64> = LazyLock::new(|| chi_square_gate(GATE_PROBABILITY));
+
 /// When a track is believed and when it is given up.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TrackPolicy {
     /// How the neighbour is thought to move.
     pub motion: MotionModel,
-    /// Measurements taken in that confirm a track, the first included...
+    /// Measurements taken in that confirm a track, the first included, among [`CONFIRM_WINDOW`]
+    /// frames.
     pub confirm_hits: u32,
-    /// ...among so many frames, at most 64.
-    pub confirm_window: u32,
     /// A confirmed track is lost when it was not seen for longer than this, seconds.
     pub coast_s: f64,
-    /// Frames that come at most this much later than newer ones are put where they belong, seconds.
-    pub history_s: f64,
-    /// Probability that a right measurement passes the gate.
-    pub gate_probability: f64,
-    /// Number of measurements in a row outside the gate after which the track counts as wrong and
-    /// begins anew from the last of them. A tentative track begins anew from the first.
-    pub restart_after_gated: u32,
 }
 
 impl Default for TrackPolicy {
-    /// What pipeline.yaml has by default: confirmed by 2 hits in 5 frames, coasting for 1 s, half a second of history, 0.1 % of right
-    /// measurements gated.
+    /// What pipeline.yaml has by default.
     fn default() -> Self {
-        Self {
-            motion: MotionModel::default(),
-            confirm_hits: 2,
-            confirm_window: 5,
-            coast_s: 1.0,
-            history_s: 0.5,
-            gate_probability: 0.999,
-            restart_after_gated: 3,
-        }
+        Self { motion: MotionModel::default(), confirm_hits: 2, coast_s: 1.0 }
     }
 }
 
 /// What became of a measurement.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Happened {
     /// The measurement began a track where there was none, or a lost one.
     Started,
     /// The measurement updated the track.
-    Updated(Innovation),
+    Updated,
     /// The measurement lay outside the gate. The target counts as not seen.
-    Gated(Innovation),
-    /// The measurement contradicted the track, or the clock jumped back: the track began anew from it.
+    Gated,
+    /// The measurement contradicted the track, or the clock jumped back: the track began anew from
+    /// it.
     Restarted,
 }
 
 /// The track of one neighbour and its state. Call [`LifeCycle::measured`] or
 /// [`LifeCycle::unseen`] once for each frame.
 ///
-/// Frames may come late and in any order: what they said is kept for [`TrackPolicy::history_s`],
+/// Frames may come late and in any order: what they said is kept for [`HISTORY_S`],
 /// with the state after each, and whatever lies after a late one is filtered anew. So within the
 /// history the order of arrival does not matter.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LifeCycle {
     pub(super) policy: TrackPolicy,
-    gate: f64,
     /// The state before the first event that is kept.
     pub(super) base: Option<Life>,
     /// By time; the newest is always there once there was one.
-    pub(super) events: VecDeque<Event>,
+    pub(super) events: VecDeque<HistoryEntry>,
 }
 
 /// What a frame said, and the state after it.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct Event {
+pub(super) struct HistoryEntry {
     pub(super) stamp_s: f64,
     /// `None`: it did not see the neighbour.
-    pub(super) measured: Option<Measurement>,
+    pub(super) measured: Option<PoseEstimate>,
     pub(super) after: Option<Life>,
-}
-
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub(super) struct Measurement {
-    pub(super) camera_from_markers: Isometry3<f64>,
-    pub(super) covariance: Matrix6<f64>,
 }
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct Life {
-    pub(super) track: Track,
+    pub(super) track: MotionEstimate,
     state: TrackState,
     /// One bit for each frame, the newest lowest: 1 where a measurement was taken in.
     hits: u64,
@@ -116,8 +107,7 @@ pub(super) struct Life {
 impl LifeCycle {
     /// Nothing was seen of the neighbour yet.
     pub fn new(policy: TrackPolicy) -> Self {
-        let gate = chi_square_gate(policy.gate_probability);
-        Self { policy, gate, base: None, events: VecDeque::new() }
+        Self { policy, base: None, events: VecDeque::new() }
     }
 
     /// Where the track is in its life; `None` before the first measurement.
@@ -126,7 +116,7 @@ impl LifeCycle {
     }
 
     /// The filter, while the track is alive.
-    pub fn track(&self) -> Option<&Track> {
+    pub fn track(&self) -> Option<&MotionEstimate> {
         self.life().and_then(Life::alive)
     }
 
@@ -137,26 +127,26 @@ impl LifeCycle {
 
     /// When its last measurement taken in was exposed, seconds; also of a lost track.
     pub fn last_seen_s(&self) -> Option<f64> {
-        self.life().map(|life| life.track.stamp_s())
+        self.life().map(|life| life.track.stamp_s)
     }
 
-    /// Where the neighbour will be at `at_s`, or, for a time within the history, where it was as far
-    /// as the frames up to then say. `None` while there is no live track, or if the filter knows
-    /// nothing of that time.
-    pub fn predict(&self, at_s: f64, ego: &EgoRotation) -> Option<Prediction> {
+    /// Where the neighbour will be at `at_s`, or, for a time within the history, where it was as
+    /// far as the frames up to then say. `None` while there is no live track, or if the filter
+    /// knows nothing of that time.
+    pub fn predict(&self, at_s: f64, ego: &EgoRotation) -> Option<MotionEstimate> {
         let track = self.track()?;
-        if at_s >= track.stamp_s() {
-            return track.predict(at_s, ego).ok();
+        if at_s >= track.stamp_s {
+            return track.predict(at_s, &self.policy.motion, ego).ok();
         }
         let until_then = self.events.partition_point(|event| event.stamp_s <= at_s);
-        self.life_before(until_then)?.alive()?.predict(at_s, ego).ok()
+        self.life_before(until_then)?.alive()?.predict(at_s, &self.policy.motion, ego).ok()
     }
 
-    /// A frame exposed at `stamp_s` in which the neighbour's pose was measured; `covariance` as in
-    /// [`Track::update`]. It takes the place of a word that the same frame had not seen it.
+    /// A frame exposed at `stamp_s` in which the neighbour's pose was measured.
+    /// It takes the place of a word that the same frame had not seen it.
     ///
-    /// A frame from before the history is refused, unless it is from so long before (`coast_s`) that
-    /// the clock itself must have jumped: then the track begins anew.
+    /// A frame from before the history is refused, unless it is from so long before (`coast_s`)
+    /// that the clock itself must have jumped: then the track begins anew.
     ///
     /// # Errors
     /// An unusable measurement ([`FilterError::Unusable`]) or one from too long ago
@@ -164,12 +154,11 @@ impl LifeCycle {
     pub fn measured(
         &mut self,
         stamp_s: f64,
-        camera_from_markers: &Isometry3<f64>,
-        covariance: &Matrix6<f64>,
+        measured: &PoseEstimate,
         ego: &EgoRotation,
     ) -> Result<Happened, FilterError> {
         // What cannot begin a track is no measurement.
-        Track::start(stamp_s, *camera_from_markers, covariance, self.policy.motion)?;
+        check(stamp_s, measured)?;
         let mut jumped = false;
         if let Some(newest_s) = self.too_late(stamp_s) {
             if !self.is_jump(newest_s - stamp_s) {
@@ -178,31 +167,20 @@ impl LifeCycle {
             jumped = self.track().is_some();
             self.forget();
         }
-        let measured =
-            Measurement { camera_from_markers: *camera_from_markers, covariance: *covariance };
-        let (place, mut event) = self.placed(stamp_s, Some(measured));
-        let happened =
-            Life::measured(&mut event.after, stamp_s, &measured, &self.policy, self.gate, ego)?;
+        let (place, mut event) = self.placed(stamp_s, Some(*measured));
+        let happened = Life::measured(&mut event.after, stamp_s, measured, &self.policy, ego)?;
         self.insert(place, event, ego);
         Ok(if jumped { Happened::Restarted } else { happened })
     }
 
     /// Whether a measurement of `stamp_s` would update the track: it lies inside the gate.
-    pub fn fits(
-        &self,
-        stamp_s: f64,
-        camera_from_markers: &Isometry3<f64>,
-        covariance: &Matrix6<f64>,
-        ego: &EgoRotation,
-    ) -> bool {
+    pub fn fits(&self, stamp_s: f64, measured: &PoseEstimate, ego: &EgoRotation) -> bool {
         if self.too_late(stamp_s).is_some() {
             return false;
         }
-        let measured =
-            Measurement { camera_from_markers: *camera_from_markers, covariance: *covariance };
-        let (_, Event { mut after, .. }) = self.placed(stamp_s, Some(measured));
-        let happened = Life::measured(&mut after, stamp_s, &measured, &self.policy, self.gate, ego);
-        matches!(happened, Ok(Happened::Updated(_)))
+        let (_, HistoryEntry { mut after, .. }) = self.placed(stamp_s, Some(*measured));
+        let happened = Life::measured(&mut after, stamp_s, measured, &self.policy, ego);
+        happened == Ok(Happened::Updated)
     }
 
     /// A frame exposed at `stamp_s` in which nothing was measured of the neighbour although all
@@ -221,13 +199,14 @@ impl LifeCycle {
             }
         } else if stamp_s.is_finite() && !self.events.iter().any(|event| event.stamp_s == stamp_s) {
             let (place, mut event) = self.placed(stamp_s, None);
-            event.step(&self.policy, self.gate, ego);
+            event.step(&self.policy, ego);
             self.insert(place, event, ego);
         }
         self.state()
     }
 
-    /// Filters anew what was seen from `since_s` on: how the camera turned since then is known better now.
+    /// Filters anew what was seen from `since_s` on: how the camera turned since then is known
+    /// better now.
     pub fn refilter(&mut self, since_s: f64, ego: &EgoRotation) {
         let first = self.events.partition_point(|event| event.stamp_s < since_s);
         self.refilter_from(first, ego);
@@ -238,7 +217,7 @@ impl LifeCycle {
             let before = self.life_before(later).cloned();
             if let Some(event) = self.events.get_mut(later) {
                 event.after = before;
-                event.step(&self.policy, self.gate, ego);
+                event.step(&self.policy, ego);
             }
         }
     }
@@ -249,12 +228,10 @@ impl LifeCycle {
         self.events.clear();
     }
 
-    /// The newest state.
     fn life(&self) -> Option<&Life> {
         self.life_before(self.events.len())
     }
 
-    /// The state before an event.
     fn life_before(&self, index: usize) -> Option<&Life> {
         match index.checked_sub(1).and_then(|before| self.events.get(before)) {
             Some(event) => event.after.as_ref(),
@@ -265,24 +242,24 @@ impl LifeCycle {
     /// The newest event's time, if `stamp_s` lies so far before it that nothing is kept of then.
     fn too_late(&self, stamp_s: f64) -> Option<f64> {
         let newest_s = self.events.back()?.stamp_s;
-        (stamp_s < newest_s - self.policy.history_s).then_some(newest_s)
+        (stamp_s < newest_s - HISTORY_S).then_some(newest_s)
     }
 
     /// Whether a frame that comes so late shows that the clock has jumped.
     fn is_jump(&self, late_s: f64) -> bool {
-        late_s > self.policy.coast_s.max(self.policy.history_s)
+        late_s > self.policy.coast_s.max(HISTORY_S)
     }
 
     /// An event and its place, with the state before it.
-    fn placed(&self, stamp_s: f64, measured: Option<Measurement>) -> (usize, Event) {
-        let mut event = Event { stamp_s, measured, after: None };
+    fn placed(&self, stamp_s: f64, measured: Option<PoseEstimate>) -> (usize, HistoryEntry) {
+        let mut event = HistoryEntry { stamp_s, measured, after: None };
         let place = self.events.partition_point(|other| other.is_before(&event));
         event.after = self.life_before(place).cloned();
         (place, event)
     }
 
     /// Keeps an event, filters anew what lies after it, and lets go of what is too old.
-    fn insert(&mut self, place: usize, event: Event, ego: &EgoRotation) {
+    fn insert(&mut self, place: usize, event: HistoryEntry, ego: &EgoRotation) {
         let stamp_s = event.stamp_s;
         let is_measured = event.measured.is_some();
         self.events.insert(place, event);
@@ -292,18 +269,18 @@ impl LifeCycle {
         self.refilter_from(place + 1, ego);
         let newest_s = self.events.back().map_or(stamp_s, |newest| newest.stamp_s);
         while let Some(oldest) = self.events.front()
-            && oldest.stamp_s < newest_s - self.policy.history_s
+            && oldest.stamp_s < newest_s - HISTORY_S
         {
             self.base = self.events.pop_front().and_then(|oldest| oldest.after);
         }
     }
 }
 
-impl Event {
+impl HistoryEntry {
     /// Events of one time have an order too, so that it does not matter which came first.
     fn is_before(&self, other: &Self) -> bool {
         let by_measurement = || match (&self.measured, &other.measured) {
-            (Some(measured), Some(other)) => measured.order(other),
+            (Some(measured), Some(other)) => order(measured, other),
             // Measured first.
             (measured, other) => other.is_some().cmp(&measured.is_some()),
         };
@@ -311,30 +288,28 @@ impl Event {
     }
 
     /// Moves the state in `after` on. A measurement that cannot be taken in leaves it as it was.
-    fn step(&mut self, policy: &TrackPolicy, gate: f64, ego: &EgoRotation) {
+    fn step(&mut self, policy: &TrackPolicy, ego: &EgoRotation) {
         if let Some(measured) = &self.measured {
-            let _ = Life::measured(&mut self.after, self.stamp_s, measured, policy, gate, ego);
+            let _ = Life::measured(&mut self.after, self.stamp_s, measured, policy, ego);
         } else if let Some(life) = &mut self.after {
             life.unseen(self.stamp_s, policy);
         }
     }
 }
 
-impl Measurement {
-    /// Any order that is always the same.
-    fn order(&self, other: &Self) -> Ordering {
-        let numbers = |measured: &Self| -> Vec<f64> {
-            let pose = &measured.camera_from_markers;
-            let (at, turn) = (pose.translation.vector, pose.rotation.coords);
-            at.iter().chain(turn.iter()).chain(measured.covariance.iter()).copied().collect()
-        };
-        numbers(self).partial_cmp(&numbers(other)).unwrap_or(Ordering::Equal)
-    }
+/// Any order that is always the same.
+fn order(one: &PoseEstimate, other: &PoseEstimate) -> Ordering {
+    let numbers = |measured: &PoseEstimate| -> Vec<f64> {
+        let pose = &measured.camera_from_markers;
+        let (at, turn) = (pose.translation.vector, pose.rotation.coords);
+        at.iter().chain(turn.iter()).chain(measured.covariance.iter()).copied().collect()
+    };
+    numbers(one).partial_cmp(&numbers(other)).unwrap_or(Ordering::Equal)
 }
 
 impl Life {
-    fn begin(track: Track, policy: &TrackPolicy) -> Self {
-        let started_s = track.stamp_s();
+    fn begin(track: MotionEstimate, policy: &TrackPolicy) -> Self {
+        let started_s = track.stamp_s;
         let state = TrackState::Tentative;
         let mut life = Self { track, state, hits: 0, gated_in_a_row: 0, started_s };
         life.count(true, policy);
@@ -342,7 +317,7 @@ impl Life {
     }
 
     /// The filter of a life that is not over.
-    fn alive(&self) -> Option<&Track> {
+    fn alive(&self) -> Option<&MotionEstimate> {
         (self.state != TrackState::Lost).then_some(&self.track)
     }
 
@@ -350,33 +325,30 @@ impl Life {
     fn measured(
         life: &mut Option<Self>,
         stamp_s: f64,
-        Measurement { camera_from_markers, covariance }: &Measurement,
+        measured: &PoseEstimate,
         policy: &TrackPolicy,
-        gate: f64,
         ego: &EgoRotation,
     ) -> Result<Happened, FilterError> {
-        let fresh = Track::start(stamp_s, *camera_from_markers, covariance, policy.motion)?;
-        let follows = |life: &Self| stamp_s - life.track.stamp_s() <= policy.coast_s;
+        let fresh = MotionEstimate::start(stamp_s, measured, &policy.motion)?;
+        let follows = |life: &Self| stamp_s - life.track.stamp_s <= policy.coast_s;
         let Some(old) = life.as_mut().filter(|life| life.alive().is_some() && follows(life)) else {
             *life = Some(Self::begin(fresh, policy));
             return Ok(Happened::Started);
         };
-        match old.track.update(stamp_s, camera_from_markers, covariance, gate, ego) {
-            Ok(innovation) => {
+        match old.track.update(stamp_s, measured, *GATE, &policy.motion, ego) {
+            Ok(_) => {
                 old.gated_in_a_row = 0;
                 old.count(true, policy);
-                Ok(Happened::Updated(innovation))
+                Ok(Happened::Updated)
             }
-            Err(FilterError::Gated { innovation, .. }) => {
+            Err(FilterError::Gated { .. }) => {
                 old.gated_in_a_row += 1;
-                if old.state == TrackState::Tentative
-                    || old.gated_in_a_row >= policy.restart_after_gated
-                {
+                if old.state == TrackState::Tentative || old.gated_in_a_row >= RESTART_AFTER_GATED {
                     *old = Self::begin(fresh, policy);
                     return Ok(Happened::Restarted);
                 }
                 old.count(false, policy);
-                Ok(Happened::Gated(innovation))
+                Ok(Happened::Gated)
             }
             Err(FilterError::Gap { .. }) => {
                 *old = Self::begin(fresh, policy);
@@ -388,7 +360,7 @@ impl Life {
 
     /// A frame that does not show it.
     fn unseen(&mut self, stamp_s: f64, policy: &TrackPolicy) {
-        if stamp_s - self.track.stamp_s() <= policy.coast_s {
+        if stamp_s - self.track.stamp_s <= policy.coast_s {
             self.count(false, policy);
         } else {
             self.state = TrackState::Lost;
@@ -397,13 +369,12 @@ impl Life {
 
     /// Counts a frame and moves the state on.
     fn count(&mut self, hit: bool, policy: &TrackPolicy) {
-        let window = policy.confirm_window.clamp(1, 64);
-        self.hits = (self.hits << 1 | u64::from(hit)) & (u64::MAX >> (64 - window));
+        self.hits = (self.hits << 1 | u64::from(hit)) & (u64::MAX >> (64 - CONFIRM_WINDOW));
         let hits = self.hits.count_ones();
         self.state = match self.state {
             TrackState::Lost => TrackState::Lost,
             TrackState::Tentative if hits == 0 => TrackState::Lost,
-            TrackState::Tentative if hits < policy.confirm_hits.min(window) => {
+            TrackState::Tentative if hits < policy.confirm_hits.min(CONFIRM_WINDOW) => {
                 TrackState::Tentative
             }
             _ if hit => TrackState::Confirmed,

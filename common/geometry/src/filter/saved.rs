@@ -2,18 +2,19 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::life::{Event, Life, LifeCycle, Measurement};
+use super::life::{HistoryEntry, Life, LifeCycle};
 use super::{FilterError, check};
 use crate::ego_rotation::EgoRotation;
+use crate::pose::PoseEstimate;
 
-/// A track with its history, as a process leaves it to its successor. The successor filters the history anew,
-/// by its own policy.
+/// A track with its history, as a process leaves it to its successor. The successor filters the
+/// history anew, by its own policy.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct SavedLife {
     /// The state before the history.
     base: Option<Life>,
     /// What each frame of the history said, by time, seconds.
-    said: Vec<(f64, Option<Measurement>)>,
+    said: Vec<(f64, Option<PoseEstimate>)>,
 }
 
 impl LifeCycle {
@@ -31,14 +32,11 @@ impl LifeCycle {
     /// [`FilterError::Unusable`]; nothing changes then.
     pub fn resume(&mut self, saved: SavedLife, ego: &EgoRotation) -> Result<(), FilterError> {
         saved.check()?;
-        let SavedLife { mut base, said } = saved;
-        if let Some(life) = &mut base {
-            life.track.motion = self.policy.motion;
-        }
-        self.base = base;
-        self.events = said
+        self.base = saved.base;
+        self.events = saved
+            .said
             .into_iter()
-            .map(|(stamp_s, measured)| Event { stamp_s, measured, after: None })
+            .map(|(stamp_s, measured)| HistoryEntry { stamp_s, measured, after: None })
             .collect();
         self.refilter_from(0, ego);
         Ok(())
@@ -48,8 +46,9 @@ impl LifeCycle {
 impl SavedLife {
     fn check(&self) -> Result<(), FilterError> {
         if let Some(Life { track, started_s, .. }) = &self.base {
-            let covariance = track.covariance.fixed_view::<6, 6>(0, 0).into_owned();
-            check(track.stamp_s, &track.camera_from_markers, &covariance)?;
+            let camera_from_markers = track.camera_from_markers;
+            let covariance = track.pose_covariance();
+            check(track.stamp_s, &PoseEstimate { camera_from_markers, covariance })?;
             let mut rest = track.velocity.iter().chain(&track.rate).chain(&track.covariance);
             if !started_s.is_finite() || !rest.all(|number| number.is_finite()) {
                 return Err(FilterError::Unusable { what: "saved track" });
@@ -57,9 +56,7 @@ impl SavedLife {
         }
         for (stamp_s, measured) in &self.said {
             match measured {
-                Some(Measurement { camera_from_markers, covariance }) => {
-                    check(*stamp_s, camera_from_markers, covariance)?;
-                }
+                Some(measured) => check(*stamp_s, measured)?,
                 None if stamp_s.is_finite() => {}
                 None => return Err(FilterError::Unusable { what: "time" }),
             }
@@ -83,9 +80,12 @@ mod tests {
     fn a_track_with_numbers_that_are_not_finite_is_refused() {
         let ego = EgoRotation::new(2.0);
         let mut known = LifeCycle::new(TrackPolicy::default());
-        let (pose, covariance) = (Isometry3::translation(1.0, 0.0, 0.0), Matrix6::identity());
+        let measured = PoseEstimate {
+            camera_from_markers: Isometry3::translation(1.0, 0.0, 0.0),
+            covariance: Matrix6::identity() * 1e-4,
+        };
         for k in 0..30 {
-            known.measured(f64::from(k) / 30.0, &pose, &(covariance * 1e-4), &ego).unwrap();
+            known.measured(f64::from(k) / 30.0, &measured, &ego).unwrap();
         }
         type Spoil = fn(&mut SavedLife, &mut Life);
         let spoil: [(&str, Spoil); 7] = [

@@ -2,12 +2,12 @@
 
 mod life;
 
-use nalgebra::Unit;
+use nalgebra::{Unit, Vector6};
 use proptest::prelude::*;
 
 use super::*;
 use crate::ego_rotation::CameraTurn;
-use crate::fixtures::{Chance, error};
+use crate::fixtures::{Chance, distance_squared, error};
 
 const GATE: f64 = 22.46;
 
@@ -38,8 +38,17 @@ fn still() -> EgoRotation {
     EgoRotation::new(2.0)
 }
 
-fn start(pose: Isometry3<f64>) -> Track {
-    Track::start(10.0, pose, &covariance(), MotionModel::default()).unwrap()
+/// A pose measured with [`covariance`].
+fn found(camera_from_markers: Isometry3<f64>) -> PoseEstimate {
+    PoseEstimate { camera_from_markers, covariance: covariance() }
+}
+
+fn motion() -> MotionModel {
+    MotionModel::default()
+}
+
+fn start(pose: Isometry3<f64>) -> MotionEstimate {
+    MotionEstimate::start(10.0, &found(pose), &MotionModel::default()).unwrap()
 }
 
 #[test]
@@ -97,7 +106,7 @@ impl Wanderer {
     }
 
     /// What a track's state is off by: position, rotation, both velocities.
-    fn error(&self, now: &Prediction) -> SVector<f64, 12> {
+    fn error(&self, now: &MotionEstimate) -> SVector<f64, 12> {
         let mut off = SVector::<f64, 12>::zeros();
         off.fixed_rows_mut::<6>(0).copy_from(&error(&self.truth, &now.camera_from_markers));
         off.fixed_rows_mut::<3>(6).copy_from(&(self.velocity - now.velocity));
@@ -107,7 +116,7 @@ impl Wanderer {
 }
 
 /// The squared error of some rows, normalised by what the covariance says of them.
-fn normalised<const N: usize>(off: &SVector<f64, 12>, now: &Prediction, first: usize) -> f64 {
+fn normalised<const N: usize>(off: &SVector<f64, 12>, now: &MotionEstimate, first: usize) -> f64 {
     let covariance = now.covariance.fixed_view::<N, N>(first, first).into_owned();
     let off = off.fixed_rows::<N>(first).into_owned();
     off.dot(&covariance.cholesky().expect("a covariance").solve(&off))
@@ -130,18 +139,18 @@ fn estimates_are_as_good_as_they_say() {
         for (frame, sums) in (1..).zip(&mut sums) {
             target.fly(step, &motion, &mut chance);
             let stamp_s = 10.0 + f64::from(frame) * step;
-            match track.update(
-                stamp_s,
-                &measure(&target.truth, &mut chance),
-                &covariance(),
-                GATE,
-                &still(),
-            ) {
-                Ok(innovation) => innovations += innovation.distance_squared,
+            let measured = measure(&target.truth, &mut chance);
+            let predicted = track.predict(stamp_s, &motion, &still()).unwrap();
+            match track.update(stamp_s, &found(measured), GATE, &motion, &still()) {
+                Ok(_) => {
+                    let off = error(&measured, &predicted.camera_from_markers);
+                    innovations +=
+                        distance_squared(&off, &(predicted.pose_covariance() + covariance()));
+                }
                 Err(FilterError::Gated { .. }) => gated += 1,
                 Err(other) => panic!("{other}"),
             }
-            let now = track.predict(stamp_s, &still()).unwrap();
+            let now = track.predict(stamp_s, &motion, &still()).unwrap();
             let off = target.error(&now);
             sums[0] += normalised::<12>(&off, &now, 0);
             sums[1] += normalised::<3>(&off, &now, 0);
@@ -175,9 +184,9 @@ fn a_moving_neighbour_is_predicted_where_it_will_be() {
     let mut track = start(at(0.0));
     for frame in 1..=30 {
         let time = f64::from(frame) / 30.0;
-        track.update(10.0 + time, &at(time), &covariance(), GATE, &still()).unwrap();
+        track.update(10.0 + time, &found(at(time)), GATE, &motion(), &still()).unwrap();
     }
-    let predicted = track.predict(11.1, &still()).unwrap();
+    let predicted = track.predict(11.1, &motion(), &still()).unwrap();
     let truth = at(1.1);
     let direction = |pose: &Isometry3<f64>| Unit::new_normalize(pose.translation.vector);
     // Standing still it would be 4 degrees off.
@@ -187,9 +196,9 @@ fn a_moving_neighbour_is_predicted_where_it_will_be() {
     assert!((predicted.velocity - velocity).norm() < 0.03, "{}", predicted.velocity);
     assert!((predicted.rate - rate).norm() < 0.05, "{}", predicted.rate);
     // Farther ahead it is less sure.
-    let later = track.predict(11.3, &still()).unwrap().pose_covariance();
+    let later = track.predict(11.3, &motion(), &still()).unwrap().pose_covariance();
     assert!((0..6).all(|k| later[(k, k)] > predicted.pose_covariance()[(k, k)]));
-    assert_eq!(track.predict(track.stamp_s(), &still()).unwrap(), track.now());
+    assert_eq!(track.predict(track.stamp_s, &motion(), &still()).unwrap(), track);
 }
 
 #[test]
@@ -198,7 +207,13 @@ fn outliers_leave_the_track_as_it_was() {
     for frame in 1..=10 {
         let stamp_s = 10.0 + f64::from(frame) / 30.0;
         track
-            .update(stamp_s, &Isometry3::translation(1.0, 0.0, 0.0), &covariance(), GATE, &still())
+            .update(
+                stamp_s,
+                &found(Isometry3::translation(1.0, 0.0, 0.0)),
+                GATE,
+                &motion(),
+                &still(),
+            )
             .unwrap();
     }
     let before = track.clone();
@@ -208,13 +223,13 @@ fn outliers_leave_the_track_as_it_was() {
         UnitQuaternion::from_euler_angles(0.0, 0.9, 0.0),
     );
     for wrong in [mirrored, Isometry3::translation(1.5, 0.0, 0.0)] {
-        let refused = track.update(stamp_s, &wrong, &covariance(), GATE, &still()).unwrap_err();
-        assert!(matches!(refused, FilterError::Gated { innovation, .. }
-            if innovation.distance_squared > GATE));
+        let refused = track.update(stamp_s, &found(wrong), GATE, &motion(), &still()).unwrap_err();
+        assert!(matches!(refused, FilterError::Gated { distance_squared, .. }
+            if distance_squared > GATE));
         assert_eq!(track, before);
     }
     let right = measure(&Isometry3::translation(1.0, 0.0, 0.0), &mut Chance::new(3));
-    assert!(track.update(stamp_s, &right, &covariance(), GATE, &still()).is_ok());
+    assert!(track.update(stamp_s, &found(right), GATE, &motion(), &still()).is_ok());
 }
 
 #[test]
@@ -222,22 +237,26 @@ fn time_may_jump_without_harm() {
     let pose = Isometry3::translation(1.0, 0.0, 0.0);
     let mut track = start(pose);
     let before = track.clone();
-    assert!(matches!(track.predict(9.9, &still()), Err(FilterError::Past { .. })));
-    assert!(matches!(track.predict(1e9, &still()), Err(FilterError::Gap { .. })));
-    assert!(matches!(track.predict(f64::NAN, &still()), Err(FilterError::Unusable { .. })));
-    assert!(track.update(9.0, &pose, &covariance(), GATE, &still()).is_err());
-    assert!(track.update(f64::INFINITY, &pose, &covariance(), GATE, &still()).is_err());
+    assert!(matches!(track.predict(9.9, &motion(), &still()), Err(FilterError::Past { .. })));
+    assert!(matches!(track.predict(1e9, &motion(), &still()), Err(FilterError::Gap { .. })));
+    assert!(matches!(
+        track.predict(f64::NAN, &motion(), &still()),
+        Err(FilterError::Unusable { .. })
+    ));
+    assert!(track.update(9.0, &found(pose), GATE, &motion(), &still()).is_err());
+    assert!(track.update(f64::INFINITY, &found(pose), GATE, &motion(), &still()).is_err());
     let broken = Isometry3::translation(f64::NAN, 0.0, 0.0);
-    assert!(track.update(10.1, &broken, &covariance(), GATE, &still()).is_err());
-    assert!(track.update(10.1, &pose, &Matrix6::zeros(), GATE, &still()).is_err());
+    assert!(track.update(10.1, &found(broken), GATE, &motion(), &still()).is_err());
+    let exact = PoseEstimate { camera_from_markers: pose, covariance: Matrix6::zeros() };
+    assert!(track.update(10.1, &exact, GATE, &motion(), &still()).is_err());
     assert_eq!(track, before);
     // Twice in one frame is once more knowledge, not more time.
-    track.update(10.0, &pose, &covariance(), GATE, &still()).unwrap();
-    assert!(track.now().covariance[(0, 0)] < 0.6 * before.now().covariance[(0, 0)]);
+    track.update(10.0, &found(pose), GATE, &motion(), &still()).unwrap();
+    assert!(track.covariance[(0, 0)] < 0.6 * before.covariance[(0, 0)]);
 }
 
 fn life() -> LifeCycle {
-    LifeCycle::new(TrackPolicy { confirm_hits: 3, confirm_window: 5, ..TrackPolicy::default() })
+    LifeCycle::new(TrackPolicy { confirm_hits: 3, ..TrackPolicy::default() })
 }
 
 /// A camera that yaws unevenly: how it turns from frame to frame of a flight at 30 frames/s.
@@ -275,14 +294,15 @@ fn a_yaw_is_no_movement_of_the_neighbour() {
     for (k, turn) in turns.iter().enumerate() {
         ego.add(turn);
         let seen = seen_at(&turns[..=k], &world);
-        track.update(turn.later_s, &seen, &covariance(), GATE, &ego).unwrap();
+        track.update(turn.later_s, &found(seen), GATE, &motion(), &ego).unwrap();
     }
-    let now = track.predict(turns[39].later_s, &ego).unwrap();
+    let now = track.predict(turns[39].later_s, &motion(), &ego).unwrap();
     assert!(now.velocity.norm() < 1e-3 && now.rate.norm() < 1e-3, "{now:?}");
     // To the camera it moves past at the yaw rate times the distance.
     let expected = turns[39].rate_in_camera.norm() * 1.58;
     assert!((now.apparent_velocity().norm() - expected).abs() < 0.02 * expected);
-    // The covariance of what the camera knows less well than it thinks grows across the line of sight.
+    // The covariance of what the camera knows less well than it thinks grows across the line of
+    // sight.
     let mut doubtful = turns[39];
     doubtful.covariance *= 1e4;
     let mut doubting = still();
@@ -291,11 +311,11 @@ fn a_yaw_is_no_movement_of_the_neighbour() {
     let mut before = start(world);
     for (k, turn) in turns[..39].iter().enumerate() {
         let seen = seen_at(&turns[..=k], &world);
-        before.update(turn.later_s, &seen, &covariance(), GATE, &ego).unwrap();
+        before.update(turn.later_s, &found(seen), GATE, &motion(), &ego).unwrap();
     }
-    assert_eq!(before.stamp_s(), earlier);
+    assert_eq!(before.stamp_s, earlier);
     let [sure, unsure] =
-        [&ego, &doubting].map(|ego| before.predict(turns[39].later_s, ego).unwrap());
+        [&ego, &doubting].map(|ego| before.predict(turns[39].later_s, &motion(), ego).unwrap());
     let sight = sure.camera_from_markers.translation.vector.normalize();
     let grown = (unsure.covariance - sure.covariance).fixed_view::<3, 3>(0, 0).into_owned();
     assert!((sight.transpose() * grown * sight)[0] < 1e-9, "a turn changes no distance");
@@ -311,8 +331,8 @@ fn a_turn_that_is_known_late_counts_as_if_known_in_time() {
     for (k, turn) in turns.iter().enumerate() {
         let seen = seen_at(&turns[..=k], &world);
         ego.add(turn);
-        in_time.measured(turn.later_s, &seen, &covariance(), &ego).unwrap();
-        late.measured(turn.later_s, &seen, &covariance(), &late_ego).unwrap();
+        in_time.measured(turn.later_s, &found(seen), &ego).unwrap();
+        late.measured(turn.later_s, &found(seen), &late_ego).unwrap();
         late_ego.add(turn);
         late.refilter(turn.earlier_s, &late_ego);
     }

@@ -1,17 +1,18 @@
 //! Bias, mounting and time offset of an inertial sensor, by comparison with the picture.
 //!
-//! The camera's angular velocity is w(t) = exp(m) w_s(t - o) - b. Here w_s is what the sensor says in its
-//! configured mounting, m the mounting's error as a rotation vector, o the time offset, and b the bias. The
-//! mean rate that the picture shows between two frames measures all seven numbers. A Kalman filter takes it in
-//! (Mirzaei and Roumeliotis, IEEE Trans. Robotics 24, 2008; for the offset Li and Mourikis, IJRR 33, 2014).
+//! The camera's angular velocity is w(t) = exp(m) w_s(t - o) - b. Here w_s is what the sensor says
+//! in its configured mounting, m the mounting's error as a rotation vector, o the time offset, and
+//! b the bias. The mean rate that the picture shows between two frames measures all seven numbers.
+//! A Kalman filter takes it in (Mirzaei and Roumeliotis, IEEE Trans. Robotics 24, 2008; for the
+//! offset Li and Mourikis, IJRR 33, 2014).
 
 use nalgebra::{Matrix3, SMatrix, SVector, UnitQuaternion, Vector3};
 
-use super::record::{RateRecord, SensorTurn};
+use super::record::RateRecord;
 use crate::ego_rotation::Turned;
 
-/// Standard deviations before anything was compared: bias of a sensor of this class (rad/s: 3 degrees/s),
-/// mounting by hand or by calibration (2 degrees), time offset (10 ms).
+/// Standard deviations before anything was compared: bias of a sensor of this class (rad/s: 3
+/// degrees/s), mounting by hand or by calibration (2 degrees), time offset (10 ms).
 const FIRST_BIAS: f64 = 0.052;
 const FIRST_MOUNTING: f64 = 0.035;
 const FIRST_OFFSET_S: f64 = 0.01;
@@ -19,11 +20,12 @@ const FIRST_OFFSET_S: f64 = 0.01;
 /// How fast the bias wanders: 0.05 degrees/s in a second, 0.4 in a minute.
 const BIAS_WALK: f64 = 8.7e-4;
 
-/// How fast the time offset wanders: 0.2 ms in a second. An autopilot's clock is mapped by the least delay of
-/// the last seconds, which steps by fractions of a millisecond.
+/// How fast the time offset wanders: 0.2 ms in a second. An autopilot's clock is mapped by the
+/// least delay of the last seconds, which steps by fractions of a millisecond.
 const OFFSET_WALK: f64 = 2e-4;
 
-/// Scale and cross-axis errors, as a share of the rate. Data sheets of such sensors say 0.5 % and 1 % at most.
+/// Scale and cross-axis errors, as a share of the rate. Data sheets of such sensors say 0.5 % and 1
+/// % at most.
 const SCALE_ERROR: f64 = 0.003;
 
 /// Bias, rotation vector of the mounting, and time offset.
@@ -37,7 +39,7 @@ pub type Matrix3x7 = SMatrix<f64, 3, 7>;
 #[derive(Debug, Clone, PartialEq)]
 pub struct SensorErrors {
     /// Bias of the rate, along the camera's axes, rad/s.
-    bias: Vector3<f64>,
+    pub bias: Vector3<f64>,
     /// Turns the configured sensor's axes into the true ones.
     mounting: UnitQuaternion<f64>,
     /// To be added to the sensor's time, seconds.
@@ -59,6 +61,7 @@ pub struct Corrected {
 
 impl SensorErrors {
     /// Nothing was compared yet.
+    #[expect(clippy::new_without_default, reason = "the first errors are no plain zeros")]
     pub fn new() -> Self {
         let deviations = [FIRST_BIAS, FIRST_MOUNTING, FIRST_OFFSET_S];
         let variances = Vector7::from_fn(|k, _| deviations[k / 3].powi(2));
@@ -68,11 +71,6 @@ impl SensorErrors {
             offset_s: 0.0,
             covariance: Matrix7::from_diagonal(&variances),
         }
-    }
-
-    /// The bias along the camera's axes, rad/s.
-    pub fn bias(&self) -> Vector3<f64> {
-        self.bias
     }
 
     /// The sensor's clock has begun anew: its offset is as uncertain as at first.
@@ -87,13 +85,12 @@ impl SensorErrors {
         sensor_s + self.offset_s
     }
 
-    /// The rotation of the camera between two of its times, with the sensor's errors taken out. `None` where
-    /// samples are missing.
+    /// The rotation of the camera between two of its times, with the sensor's errors taken out.
+    /// `None` where samples are missing.
     pub fn turned(&self, record: &RateRecord, earlier_s: f64, later_s: f64) -> Option<Corrected> {
         let correct = |rate: Vector3<f64>| self.mounting * rate - self.bias;
         let (from_s, to_s) = (earlier_s - self.offset_s, later_s - self.offset_s);
-        let SensorTurn { later_from_earlier, noise_variance } =
-            record.turned(from_s, to_s, correct)?;
+        let (later_from_earlier, noise_variance) = record.turned(from_s, to_s, correct)?;
         let step_s = later_s - earlier_s;
         let change = record.rate_at(to_s)? - record.rate_at(from_s)?;
         let vector = -later_from_earlier.scaled_axis();
@@ -105,7 +102,8 @@ impl SensorErrors {
         Some(Corrected { turned, rest_variance, by_errors })
     }
 
-    /// The camera's angular velocity, averaged over `width_s` round a time, rad/s, with its covariance.
+    /// The camera's angular velocity, averaged over `width_s` round a time, rad/s, with its
+    /// covariance.
     pub fn rate(
         &self,
         record: &RateRecord,
@@ -149,20 +147,14 @@ impl SensorErrors {
     }
 }
 
-impl Default for SensorErrors {
-    fn default() -> Self {
-        Self::new()
-    }
-}
-
 impl Corrected {
     /// The camera's rotation vector by the picture, less that by the sensor, radians.
     pub fn off(&self, picture: &Turned) -> Vector3<f64> {
         self.turned.later_from_earlier.scaled_axis() - picture.later_from_earlier.scaled_axis()
     }
 
-    /// How far the sensor is from the picture, as a squared Mahalanobis distance: chi-square of 3 degrees of
-    /// freedom where both are right. `None` where the covariances are none.
+    /// How far the sensor is from the picture, as a squared Mahalanobis distance: chi-square of 3
+    /// degrees of freedom where both are right. `None` where the covariances are none.
     pub fn distance(&self, picture: &Turned) -> Option<f64> {
         let off = self.off(picture);
         let spread = (self.turned.covariance + picture.covariance).cholesky()?;
@@ -184,8 +176,8 @@ impl Corrected {
     }
 }
 
-/// How a rotation vector by the sensor changes with bias, mounting and time offset: `turned` over `step_s`,
-/// the rate changing by `change` meanwhile.
+/// How a rotation vector by the sensor changes with bias, mounting and time offset: `turned` over
+/// `step_s`, the rate changing by `change` meanwhile.
 pub fn by_errors(turned: &Vector3<f64>, step_s: f64, change: &Vector3<f64>) -> Matrix3x7 {
     let mut by_errors = Matrix3x7::zeros();
     by_errors.fixed_view_mut::<3, 3>(0, 0).copy_from(&Matrix3::from_diagonal_element(-step_s));
@@ -232,7 +224,7 @@ mod tests {
             assert!(distance < 16.0, "frame {k}: {distance}");
             errors.compare(&corrected, &seen, later_s - earlier_s);
         }
-        assert!((errors.bias() - bias).norm() < 0.002, "{}", errors.bias());
+        assert!((errors.bias - bias).norm() < 0.002, "{}", errors.bias);
         let off = errors.mounting.scaled_axis() - mounting;
         assert!(off.norm() < 0.004, "{off}");
         assert!((errors.offset_s - 0.007).abs() < 0.001, "{}", errors.offset_s);

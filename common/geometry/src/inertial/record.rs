@@ -28,15 +28,6 @@ pub struct RateSample {
     pub rate: Vector3<f64>,
 }
 
-/// The rotation between two times, as samples have it.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct SensorTurn {
-    /// Turns directions in the sensor's frame of the earlier time into that of the later one.
-    pub later_from_earlier: UnitQuaternion<f64>,
-    /// Variance about each axis that the samples' white noise leaves, rad^2.
-    pub noise_variance: f64,
-}
-
 /// Angular velocities over the last seconds, in the order of their time.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RateRecord {
@@ -50,8 +41,8 @@ impl RateRecord {
         Self { keep_s, samples: VecDeque::new() }
     }
 
-    /// Takes in the next sample. One that is not later than the last one is left out; one that is earlier by
-    /// far says that the clock has jumped, and all begins anew.
+    /// Takes in the next sample. One that is not later than the last one is left out; one that is
+    /// earlier by far says that the clock has jumped, and all begins anew.
     pub fn push(&mut self, sample: RateSample) {
         if self.samples.back().is_some_and(|last| sample.at_s < last.at_s - LEAP_S) {
             self.samples.clear();
@@ -78,23 +69,24 @@ impl RateRecord {
         self.samples.back().map(|sample| sample.at_s)
     }
 
-    /// The rotation from one time to a later one, where samples are corrected by `correct`. `None` where
-    /// samples are missing: before the first, long after the last, in a gap between.
+    /// The rotation from one time to a later one, where samples are corrected by `correct`, and the
+    /// variance about each axis that their white noise leaves, rad^2. The rotation turns directions
+    /// in the sensor's frame of the earlier time into that of the later one. `None` where samples
+    /// are missing: before the first, long after the last, in a gap between.
     pub fn turned(
         &self,
         earlier_s: f64,
         later_s: f64,
         correct: impl Fn(Vector3<f64>) -> Vector3<f64>,
-    ) -> Option<SensorTurn> {
+    ) -> Option<(UnitQuaternion<f64>, f64)> {
         let points = self.points(earlier_s, later_s)?;
         let over_s = later_s - earlier_s;
         let step_s = over_s / (points.len() - 1) as f64;
         let noise_variance = self.white_noise().powi(2) * step_s * over_s;
-        Some(SensorTurn { later_from_earlier: integrated(&points, correct), noise_variance })
+        Some((integrated(&points, correct), noise_variance))
     }
 
-    /// The rotation alone, without its noise. It turns directions in the sensor's frame of the
-    /// earlier time into that of the later one.
+    /// The rotation alone, without its noise.
     pub fn later_from_earlier(
         &self,
         earlier_s: f64,
@@ -104,11 +96,12 @@ impl RateRecord {
         Some(integrated(&self.points(earlier_s, later_s)?, correct))
     }
 
-    /// The angular velocity averaged over `width_s` round a time, and its variance about each axis from the
-    /// samples' white noise, (rad/s)^2. `None` where samples are missing.
+    /// The angular velocity averaged over `width_s` round a time, and its variance about each axis
+    /// from the samples' white noise, (rad/s)^2. `None` where samples are missing.
     pub fn rate_around(&self, at_s: f64, width_s: f64) -> Option<(Vector3<f64>, f64)> {
         let variance = self.white_noise().powi(2);
-        // The window ends at the newest sample and is symmetric, so that a steady change averages out.
+        // The window ends at the newest sample and is symmetric, so that a steady change averages
+        // out.
         let half_s = (width_s / 2.0).min((self.newest_s()? - at_s).max(0.0));
         let Some(points) = self.points(at_s - half_s, at_s + half_s) else {
             return Some((self.rate_at(at_s)?, variance));
@@ -151,8 +144,8 @@ impl RateRecord {
         }
     }
 
-    /// Standard deviation of one sample's white noise about an axis, rad/s: from the second differences of
-    /// the newest samples, which motion hardly enters.
+    /// Standard deviation of one sample's white noise about an axis, rad/s: from the second
+    /// differences of the newest samples, which motion hardly enters.
     pub fn white_noise(&self) -> f64 {
         let newest = self.samples.range(self.samples.len().saturating_sub(NOISE_SAMPLES)..);
         let rates: Vec<Vector3<f64>> = newest.map(|sample| sample.rate).collect();
@@ -178,8 +171,8 @@ impl RateRecord {
     }
 }
 
-/// The rotation along samples, from one to the next at their mean rate: from directions in the first one's frame to
-/// those in the last one's.
+/// The rotation along samples, from one to the next at their mean rate: from directions in the
+/// first one's frame to those in the last one's.
 fn integrated(
     points: &[RateSample],
     correct: impl Fn(Vector3<f64>) -> Vector3<f64>,
@@ -209,9 +202,9 @@ mod tests {
     proptest! {
         #[test]
         fn the_rotation_between_any_times_is_that_flown(earlier in 0.0..1.5f64, way in 0.005..0.4f64) {
-            let found = recorded(200.0).turned(earlier, earlier + way, |rate| rate).unwrap();
+            let (found, _) = recorded(200.0).turned(earlier, earlier + way, |rate| rate).unwrap();
             let truth = flown(earlier + way).inverse() * flown(earlier);
-            prop_assert!(found.later_from_earlier.angle_to(&truth) < 3e-5);
+            prop_assert!(found.angle_to(&truth) < 3e-5);
         }
 
         #[test]
@@ -261,7 +254,7 @@ mod tests {
         }
         let noise = record.white_noise();
         assert!((0.005..0.02).contains(&noise), "{noise}");
-        let turned = record.turned(0.5, 0.533, |rate| rate).unwrap();
-        assert!((1e-8..1e-6).contains(&turned.noise_variance), "{}", turned.noise_variance);
+        let (_, noise_variance) = record.turned(0.5, 0.533, |rate| rate).unwrap();
+        assert!((1e-8..1e-6).contains(&noise_variance), "{noise_variance}");
     }
 }

@@ -9,7 +9,7 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::hull::{Facet, covering_cosine, hull};
+use super::hull::{Triangle, covering_cosine, hull};
 
 /// How much closer the level comes to the deepest hole with each step.
 const SHRINK: f64 = 0.8;
@@ -17,8 +17,8 @@ const SHRINK: f64 = 0.8;
 /// Directions on their way to a covering.
 #[derive(Debug, Clone)]
 pub(super) struct Ascent {
-    points: Vec<Vector3<f64>>,
-    facets: Vec<Facet>,
+    pub(super) points: Vec<Vector3<f64>>,
+    facets: Vec<Triangle>,
     damping: f64,
 }
 
@@ -32,11 +32,6 @@ impl Ascent {
     /// Cosine of the covering radius reached.
     pub(super) fn cosine(&self) -> f64 {
         covering_cosine(&self.facets)
-    }
-
-    /// The directions reached.
-    pub(super) fn points(&self) -> &[Vector3<f64>] {
-        &self.points
     }
 
     /// Moves each direction to the mean of the holes round it, deep ones counting more: not an
@@ -73,8 +68,8 @@ impl Ascent {
         let (slope, curvature) = self.derivatives(level, &frames);
         let before = potential(&self.facets, level);
         for _ in 0..12 {
-            let scale = self.damping * curvature.scale();
-            if let Some(step) = curvature.solve(&slope, scale) {
+            let damping = self.damping * mean_diagonal(&curvature, slope.len());
+            if let Some(step) = solve(&curvature, &slope, damping) {
                 let moved: Vec<_> = self
                     .points
                     .iter()
@@ -99,16 +94,16 @@ impl Ascent {
         }
     }
 
-    /// Gradient and Hessian of the potential in the directions' tangent planes.
+    /// Gradient and Hessian (row by row) of the potential in the directions' tangent planes.
     ///
     /// With p_i the corners, n the normal and w_i the barycentric coordinates of the plane's point
     /// nearest to the sphere's middle, dc/dp_i = w_i n. With h_i the gradient of the i-th
     /// barycentric coordinate, d2c/dp_i dp_j = -c (h_i.h_j) n n' - w_j n h_i' - w_i h_j n'; the
     /// sphere's own curvature takes w_i c from the diagonal.
-    fn derivatives(&self, level: f64, frames: &[[Vector3<f64>; 2]]) -> (Vec<f64>, Symmetric) {
+    fn derivatives(&self, level: f64, frames: &[[Vector3<f64>; 2]]) -> (Vec<f64>, Vec<f64>) {
         let size = 2 * self.points.len();
         let mut slope = vec![0.0; size];
-        let mut curvature = Symmetric::zero(size);
+        let mut curvature = vec![0.0; size * size];
         for facet in &self.facets {
             let (normal, cosine) = (facet.normal, facet.cosine);
             let corner = facet.corners.map(|index| self.points[index]);
@@ -139,11 +134,8 @@ impl Ascent {
                                 bend -= weight[i] * cosine;
                             }
                             let product = gradient[i][a] * gradient[j][b];
-                            curvature.add(
-                                at + a,
-                                2 * facet.corners[j] + b,
-                                second * product + first * bend,
-                            );
+                            curvature[(at + a) * size + 2 * facet.corners[j] + b] +=
+                                second * product + first * bend;
                         }
                     }
                 }
@@ -154,7 +146,7 @@ impl Ascent {
 }
 
 /// Sum over the holes of 1/(c_f - level).
-fn potential(facets: &[Facet], level: f64) -> f64 {
+fn potential(facets: &[Triangle], level: f64) -> f64 {
     facets.iter().map(|facet| 1.0 / (facet.cosine - level)).sum()
 }
 
@@ -166,58 +158,42 @@ fn tangents(point: &Vector3<f64>) -> [Vector3<f64>; 2] {
     [u, point.cross(&u)]
 }
 
-/// A symmetric matrix, row by row.
-struct Symmetric {
-    size: usize,
-    values: Vec<f64>,
+/// The mean size of a square matrix's diagonal.
+fn mean_diagonal(matrix: &[f64], size: usize) -> f64 {
+    let diagonal = (0..size).map(|k| matrix[k * (size + 1)].abs());
+    diagonal.sum::<f64>() / size as f64
 }
 
-impl Symmetric {
-    fn zero(size: usize) -> Self {
-        Self { size, values: vec![0.0; size * size] }
-    }
-
-    fn add(&mut self, row: usize, column: usize, value: f64) {
-        self.values[row * self.size + column] += value;
-    }
-
-    /// The mean size of its diagonal.
-    fn scale(&self) -> f64 {
-        let diagonal = (0..self.size).map(|k| self.values[k * (self.size + 1)].abs());
-        diagonal.sum::<f64>() / self.size as f64
-    }
-
-    /// Solves (self + damping) x = right by Cholesky's decomposition; `None` where that is not
-    /// positive definite. Written out, because libraries choose their instructions, and with them
-    /// their rounding, by the processor.
-    fn solve(&self, right: &[f64], damping: f64) -> Option<Vec<f64>> {
-        let n = self.size;
-        let mut upper = self.values.clone();
-        let mut x = right.to_vec();
-        for k in 0..n {
-            let pivot = upper[k * n + k] + damping;
-            if pivot.is_nan() || pivot <= 1e-14 * damping {
-                return None;
-            }
-            let (above, below) = upper.split_at_mut((k + 1) * n);
-            let row = &above[k * n..];
-            // Row i loses row k times l_ik; only the upper triangle is kept.
-            for i in k + 1..n {
-                let factor = row[i] / pivot;
-                if factor != 0.0 {
-                    let target = &mut below[(i - k - 1) * n + i..(i - k) * n];
-                    for (value, from) in target.iter_mut().zip(&row[i..]) {
-                        *value -= factor * from;
-                    }
-                    x[i] -= factor * x[k];
+/// Solves (matrix + damping) x = right for a symmetric matrix by Cholesky's decomposition; `None`
+/// where that is not positive definite. Written out, because libraries choose their instructions,
+/// and with them their rounding, by the processor.
+fn solve(matrix: &[f64], right: &[f64], damping: f64) -> Option<Vec<f64>> {
+    let n = right.len();
+    let mut upper = matrix.to_vec();
+    let mut x = right.to_vec();
+    for k in 0..n {
+        let pivot = upper[k * n + k] + damping;
+        if pivot.is_nan() || pivot <= 1e-14 * damping {
+            return None;
+        }
+        let (above, below) = upper.split_at_mut((k + 1) * n);
+        let row = &above[k * n..];
+        // Row i loses row k times l_ik; only the upper triangle is kept.
+        for i in k + 1..n {
+            let factor = row[i] / pivot;
+            if factor != 0.0 {
+                let target = &mut below[(i - k - 1) * n + i..(i - k) * n];
+                for (value, from) in target.iter_mut().zip(&row[i..]) {
+                    *value -= factor * from;
                 }
+                x[i] -= factor * x[k];
             }
         }
-        for k in (0..n).rev() {
-            let row = &upper[k * n..(k + 1) * n];
-            let known: f64 = row[k + 1..].iter().zip(&x[k + 1..]).map(|(a, b)| a * b).sum();
-            x[k] = (x[k] - known) / (row[k] + damping);
-        }
-        Some(x)
     }
+    for k in (0..n).rev() {
+        let row = &upper[k * n..(k + 1) * n];
+        let known: f64 = row[k + 1..].iter().zip(&x[k + 1..]).map(|(a, b)| a * b).sum();
+        x[k] = (x[k] - known) / (row[k] + damping);
+    }
+    Some(x)
 }

@@ -8,51 +8,35 @@
 use nalgebra::Vector3;
 
 use super::ascent::Ascent;
-use super::random::Random;
-
-/// How long the search goes on.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-struct Effort {
-    /// Random starts.
-    starts: u64,
-    /// Disturbances of the best.
-    hops: u64,
-}
-
-impl Effort {
-    /// What repeats the same optimum from other seeds for up to 32 directions; beyond, where an
-    /// attempt takes longer, as much as a start of the pipeline can wait for.
-    fn of(count: usize) -> Self {
-        let attempts = if count <= 32 { 1_200 } else { (200_000 / (count * count)).max(16) };
-        let starts = attempts as u64 / 4;
-        Self { starts, hops: attempts as u64 - starts }
-    }
-}
+use crate::random::Chance;
 
 /// `count` directions whose covering radius is, as far as is known, the smallest there is.
 pub(super) fn directions(count: usize, seed: u64) -> Vec<Vector3<f64>> {
-    let effort = Effort::of(count);
+    // Enough to repeat the same optimum from other seeds for up to 32 directions. Beyond, where an
+    // attempt takes longer, as much as a start of the pipeline can wait for.
+    let attempts: usize = if count <= 32 { 1_200 } else { (200_000 / (count * count)).max(16) };
+    let starts = attempts as u64 / 4;
     let mut best: Option<Ascent> = None;
-    for start in 0..effort.starts {
-        let mut random = Random::new(seed, start);
-        let points = (0..count).map(|_| random.direction()).collect();
+    for start in 0..starts {
+        let mut random = Chance::stream(seed, start);
+        let points = (0..count).map(|_| random.portable_direction()).collect();
         // Small numbers are found rather without relaxation, large ones only with it.
         let attempt = if start % 4 == 0 { climb(points, 0, 1.0) } else { climb(points, 30, 0.1) };
         keep_better(&mut best, attempt);
     }
-    let mut random = Random::new(seed, effort.starts);
-    for _ in 0..effort.hops {
+    let mut random = Chance::stream(seed, starts);
+    for _ in starts..attempts as u64 {
         let Some(so_far) = &best else { break };
-        let mut points = so_far.points().to_vec();
+        let mut points = so_far.points.clone();
         for _ in 0..1 + random.below(3) {
-            points[random.below(count)] = random.direction();
+            points[random.below(count)] = random.portable_direction();
         }
         keep_better(&mut best, climb(points, 10, 0.1));
     }
     match best {
         Some(mut best) => {
             best.go_on(1e-6, 1e-14);
-            best.points().to_vec()
+            best.points
         }
         None => Vec::new(),
     }

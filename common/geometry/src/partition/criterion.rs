@@ -1,66 +1,6 @@
 //! The choice of N: the paper's criterion, alpha1 N + alpha2 p + alpha3 d.
 
-use super::{FEWEST, Partition, STORED};
-
-/// The weights alpha1, alpha2 and alpha3 of the number of views, their pixels and their distortion.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Weights([f64; 3]);
-
-/// Weights that are none.
-#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
-pub enum WeightsError {
-    /// A term would not count, or count the wrong way.
-    #[error("each weight must be above 0, not {weights:?}: use 0.01 for what hardly counts")]
-    Positive {
-        /// The weights.
-        weights: [f64; 3],
-    },
-    /// They are no shares of a whole.
-    #[error(
-        "weights must sum to 1, but {weights:?} sum to {:.4}: divided by that they are [{}]",
-        .weights.iter().sum::<f64>(), shares(.weights)
-    )]
-    Sum {
-        /// The weights.
-        weights: [f64; 3],
-    },
-}
-
-fn shares(weights: &[f64; 3]) -> String {
-    let sum: f64 = weights.iter().sum();
-    weights.map(|weight| format!("{:.4}", weight / sum)).join(", ")
-}
-
-impl Weights {
-    /// The paper demands positive weights that sum to one (and alpha1 far above alpha2, which is
-    /// left to who sets them).
-    ///
-    /// # Errors
-    /// [`WeightsError`].
-    pub fn new(weights: [f64; 3]) -> Result<Self, WeightsError> {
-        // Written so that NaN is refused too.
-        if !weights.iter().all(|&weight| weight > 0.0) {
-            return Err(WeightsError::Positive { weights });
-        }
-        if (weights.iter().sum::<f64>() - 1.0).abs() > 1e-6 {
-            return Err(WeightsError::Sum { weights });
-        }
-        Ok(Self(weights))
-    }
-
-    /// alpha1, alpha2, alpha3.
-    pub fn values(&self) -> [f64; 3] {
-        self.0
-    }
-}
-
-impl Default for Weights {
-    /// Distortion first, the number of views next, pixels last: alpha1 is ten times alpha2, and the
-    /// paper's choice comes out.
-    fn default() -> Self {
-        Self([0.2, 0.02, 0.78])
-    }
-}
+use super::{FEWEST, Partition, PartitionError, STORED};
 
 /// The three terms of the criterion, not normalised.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -99,14 +39,30 @@ impl Terms {
 /// circles, always these, so that a partition's cost does not depend on what it is listed with.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Criterion {
-    weights: Weights,
+    weights: [f64; 3],
     least: [f64; 3],
     greatest: [f64; 3],
 }
 
 impl Criterion {
-    /// The criterion with these weights.
-    pub fn new(weights: Weights) -> Self {
+    /// The criterion with the weights alpha1, alpha2 and alpha3 of the number of views, their
+    /// pixels and their distortion. The paper demands positive weights that sum to one (and alpha1
+    /// far above alpha2, which is left to who sets them).
+    ///
+    /// # Errors
+    /// [`PartitionError::NegligibleWeight`] and [`PartitionError::WeightSum`].
+    pub fn new(weights: [f64; 3]) -> Result<Self, PartitionError> {
+        // Written so that NaN is refused too.
+        if !weights.iter().all(|&weight| weight > 0.0) {
+            return Err(PartitionError::NegligibleWeight { weights });
+        }
+        if (weights.iter().sum::<f64>() - 1.0).abs() > 1e-6 {
+            return Err(PartitionError::WeightSum { weights });
+        }
+        Ok(Self::normalised(weights))
+    }
+
+    fn normalised(weights: [f64; 3]) -> Self {
         let mut least = [f64::INFINITY; 3];
         let mut greatest = [f64::NEG_INFINITY; 3];
         for terms in STORED.filter_map(terms_of_stored) {
@@ -118,12 +74,17 @@ impl Criterion {
         Self { weights, least, greatest }
     }
 
+    /// alpha1, alpha2 and alpha3.
+    pub fn weights(&self) -> [f64; 3] {
+        self.weights
+    }
+
     /// alpha1 N + alpha2 p + alpha3 d, each term normalised.
     pub fn cost(&self, terms: &Terms) -> f64 {
         let mut cost = 0.0;
         for (axis, value) in terms.values().into_iter().enumerate() {
             let range = self.greatest[axis] - self.least[axis];
-            cost += self.weights.0[axis] * (value - self.least[axis]) / range;
+            cost += self.weights[axis] * (value - self.least[axis]) / range;
         }
         cost
     }
@@ -141,6 +102,14 @@ impl Criterion {
     }
 }
 
+impl Default for Criterion {
+    /// Distortion first, the number of views next, pixels last: alpha1 is ten times alpha2, and the
+    /// paper's choice comes out.
+    fn default() -> Self {
+        Self::normalised([0.2, 0.02, 0.78])
+    }
+}
+
 fn terms_of_stored(count: usize) -> Option<Terms> {
     Partition::stored(count).map(|partition| partition.terms())
 }
@@ -151,12 +120,12 @@ mod tests {
     use super::*;
 
     fn choice(weights: [f64; 3]) -> usize {
-        Criterion::new(Weights::new(weights).unwrap()).choice()
+        Criterion::new(weights).unwrap().choice()
     }
 
     #[test]
     fn the_default_is_the_papers_choice() {
-        assert_eq!(Criterion::new(Weights::default()).choice(), 12);
+        assert_eq!(Criterion::default().choice(), 12);
     }
 
     #[test]
@@ -169,7 +138,7 @@ mod tests {
 
     #[test]
     fn wrong_weights_are_refused_with_the_cure() {
-        let error = |weights| Weights::new(weights).unwrap_err().to_string();
+        let error = |weights| Criterion::new(weights).unwrap_err().to_string();
         assert!(error([0.5, 0.5, 0.5]).contains("sum to 1.5000"));
         assert!(error([0.5, 0.5, 0.5]).contains("[0.3333, 0.3333, 0.3333]"));
         assert!(error([1.0, 0.0, 0.0]).contains("above 0"));

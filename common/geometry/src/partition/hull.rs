@@ -12,7 +12,7 @@ const ABOVE: f64 = 1e-13;
 
 /// A triangle of the hull; where four directions lie on one circle it is half of their facet.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Facet {
+pub(super) struct Triangle {
     /// Indices of its corners, counterclockwise seen from outside.
     pub(super) corners: [usize; 3],
     /// Its unit normal, outwards: the direction of its circumcentre.
@@ -22,7 +22,7 @@ pub(super) struct Facet {
     pub(super) cosine: f64,
 }
 
-impl Facet {
+impl Triangle {
     fn new(points: &[Vector3<f64>], corners: [usize; 3]) -> Option<Self> {
         let [a, b, c] = corners.map(|corner| points[corner]);
         let across = (b - a).cross(&(c - a));
@@ -44,14 +44,14 @@ impl Facet {
 ///
 /// Points are added one by one: what a point sees is taken away, and the border of the gap is
 /// joined to it.
-pub(super) fn hull(points: &[Vector3<f64>]) -> Option<Vec<Facet>> {
+pub(super) fn hull(points: &[Vector3<f64>]) -> Option<Vec<Triangle>> {
     let start = tetrahedron(points)?;
     let count = points.len();
     let mut facets = Vec::with_capacity(2 * count);
     for corners in [[0, 1, 2], [0, 2, 3], [0, 3, 1], [1, 3, 2]]
         .map(|face| face.map(|corner: usize| start[corner]))
     {
-        facets.push(Facet::new(points, corners)?);
+        facets.push(Triangle::new(points, corners)?);
     }
     // For each directed edge of a facet taken away, the round in which that was.
     let mut taken = vec![0; count * count];
@@ -61,7 +61,7 @@ pub(super) fn hull(points: &[Vector3<f64>]) -> Option<Vec<Facet>> {
             continue;
         }
         gap.clear();
-        facets.retain(|facet: &Facet| {
+        facets.retain(|facet: &Triangle| {
             let is_seen = facet.height(point) > ABOVE;
             if is_seen {
                 let [a, b, c] = facet.corners;
@@ -74,7 +74,7 @@ pub(super) fn hull(points: &[Vector3<f64>]) -> Option<Vec<Facet>> {
         });
         for &(from, to) in &gap {
             if taken[to * count + from] != index + 1 {
-                facets.push(Facet::new(points, [from, to, index])?);
+                facets.push(Triangle::new(points, [from, to, index])?);
             }
         }
     }
@@ -100,22 +100,22 @@ fn tetrahedron(points: &[Vector3<f64>]) -> Option<[usize; 4]> {
 }
 
 /// Cosine of the covering radius: of the largest circumradius among the facets.
-pub(super) fn covering_cosine(facets: &[Facet]) -> f64 {
+pub(super) fn covering_cosine(facets: &[Triangle]) -> f64 {
     facets.iter().map(|facet| facet.cosine).fold(1.0, f64::min)
 }
 
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
-    use super::super::random::Random;
     use super::*;
+    use crate::random::Chance;
 
     #[test]
     fn nothing_is_above_a_facet() {
         for stream in 0..200 {
-            let mut random = Random::new(7, stream);
+            let mut random = Chance::stream(7, stream);
             let count = 4 + (stream % 40) as usize;
-            let points: Vec<_> = (0..count).map(|_| random.direction()).collect();
+            let points: Vec<_> = (0..count).map(|_| random.portable_direction()).collect();
             let facets = hull(&points).unwrap();
             assert_eq!(facets.len(), 2 * count - 4);
             for facet in &facets {

@@ -37,13 +37,13 @@ fn rank(direction: &Vector3<f64>) -> [i64; 3] {
 
 #[cfg(test)]
 mod tests {
-    use super::super::random::Random;
     use super::*;
+    use crate::random::Chance;
 
     #[test]
     fn the_first_is_ahead_and_the_rest_follow() {
-        let mut random = Random::new(3, 0);
-        let directions: Vec<_> = (0..20).map(|_| random.direction()).collect();
+        let mut random = Chance::stream(3, 0);
+        let directions: Vec<_> = (0..20).map(|_| random.portable_direction()).collect();
         let turned = canonical(&directions);
         assert!((turned[0] - Vector3::x()).norm() < 1e-12);
         assert!(turned.windows(2).all(|pair| pair[0].x >= pair[1].x - 1e-6));

@@ -2,7 +2,7 @@
 
 use nalgebra::Vector3;
 
-use super::random::Random;
+use crate::random::Chance;
 
 /// The first factor by which the two closest centres are separated.
 const FIRST_FACTOR: f64 = 0.05;
@@ -20,16 +20,16 @@ const PATIENCE: usize = 20;
 /// in another local optimum. What is found spreads points (the Tammes problem), which is not the
 /// same as covering with the smallest circles.
 pub(super) fn directions(count: usize, seed: u64) -> Vec<Vector3<f64>> {
-    let mut random = Random::new(seed, 0);
-    let mut centres = Centres::new((0..count).map(|_| random.direction()).collect());
-    let mut best = (centres.closest(), centres.points.clone());
+    let mut random = Chance::stream(seed, 0);
+    let mut centres = Centres::new((0..count).map(|_| random.portable_direction()).collect());
+    let mut best = (centres.closest().1, centres.points.clone());
     let mut factor = FIRST_FACTOR;
     let mut in_vain = 0;
     while factor > LAST_FACTOR {
-        centres.separate(centres.closest(), factor);
-        let closest = centres.closest();
-        if closest.cosine < best.0.cosine {
-            best = (closest, centres.points.clone());
+        centres.separate(centres.closest().0, factor);
+        let (_, cosine) = centres.closest();
+        if cosine < best.0 {
+            best = (cosine, centres.points.clone());
             in_vain = 0;
         } else {
             in_vain += 1;
@@ -43,18 +43,11 @@ pub(super) fn directions(count: usize, seed: u64) -> Vec<Vector3<f64>> {
     best.1
 }
 
-/// Two centres and the cosine of the angle between them.
-#[derive(Debug, Clone, Copy, PartialEq)]
-struct Pair {
-    a: usize,
-    b: usize,
-    cosine: f64,
-}
-
 /// The centres, each with its nearest neighbour.
 struct Centres {
     points: Vec<Vector3<f64>>,
-    nearest: Vec<Pair>,
+    /// The number of each one's nearest neighbour, and the cosine of the angle between the two.
+    nearest: Vec<(usize, f64)>,
 }
 
 impl Centres {
@@ -63,33 +56,33 @@ impl Centres {
         Self { points, nearest }
     }
 
-    /// The two closest centres; those with lower numbers in a tie.
-    fn closest(&self) -> Pair {
-        let mut closest = self.nearest[0];
-        for pair in &self.nearest {
-            if pair.cosine > closest.cosine {
-                closest = *pair;
+    /// The two closest centres, those with lower numbers in a tie, and the cosine between them.
+    fn closest(&self) -> ([usize; 2], f64) {
+        let (b, cosine) = self.nearest[0];
+        let mut closest = ([0, b], cosine);
+        for (a, &(b, cosine)) in self.nearest.iter().enumerate() {
+            if cosine > closest.1 {
+                closest = ([a, b], cosine);
             }
         }
         closest
     }
 
     /// Moves both of a pair outwards, so that their distance grows by `factor`.
-    fn separate(&mut self, pair: Pair, factor: f64) {
-        let push = (self.points[pair.a] - self.points[pair.b]) * (factor / 2.0);
-        for (index, push) in [(pair.a, push), (pair.b, -push)] {
+    fn separate(&mut self, pair: [usize; 2], factor: f64) {
+        let push = (self.points[pair[0]] - self.points[pair[1]]) * (factor / 2.0);
+        for (index, push) in [(pair[0], push), (pair[1], -push)] {
             let moved = self.points[index] + push;
             self.points[index] = moved / moved.norm_squared().sqrt();
         }
         for a in 0..self.points.len() {
-            let has_moved = |index| index == pair.a || index == pair.b;
-            if has_moved(a) || has_moved(self.nearest[a].b) {
+            if pair.contains(&a) || pair.contains(&self.nearest[a].0) {
                 self.nearest[a] = nearest(&self.points, a);
             } else {
-                for b in [pair.a, pair.b] {
+                for b in pair {
                     let cosine = self.points[a].dot(&self.points[b]);
-                    if cosine > self.nearest[a].cosine {
-                        self.nearest[a] = Pair { a, b, cosine };
+                    if cosine > self.nearest[a].1 {
+                        self.nearest[a] = (b, cosine);
                     }
                 }
             }
@@ -97,12 +90,12 @@ impl Centres {
     }
 }
 
-fn nearest(points: &[Vector3<f64>], a: usize) -> Pair {
-    let mut nearest = Pair { a, b: a, cosine: -2.0 };
+fn nearest(points: &[Vector3<f64>], a: usize) -> (usize, f64) {
+    let mut nearest = (a, -2.0);
     for (b, point) in points.iter().enumerate() {
         let cosine = points[a].dot(point);
-        if b != a && cosine > nearest.cosine {
-            nearest = Pair { a, b, cosine };
+        if b != a && cosine > nearest.1 {
+            nearest = (b, cosine);
         }
     }
     nearest
@@ -113,7 +106,7 @@ mod tests {
     use super::*;
 
     fn separation_deg(count: usize, seed: u64) -> f64 {
-        Centres::new(directions(count, seed)).closest().cosine.acos().to_degrees()
+        Centres::new(directions(count, seed)).closest().1.acos().to_degrees()
     }
 
     #[test]

@@ -6,9 +6,9 @@
 
 use nalgebra::Vector3;
 
-use super::hull::{Facet, covering_cosine};
-use super::random::Random;
+use super::hull::{Triangle, covering_cosine};
 use super::squares::{Square, half_field};
+use crate::random::Chance;
 use crate::view::upright_axes;
 
 /// Half of the margin that rolls are made for: a marker of 5 cm at 40 cm.
@@ -21,38 +21,27 @@ const SAMPLES: usize = 2_500;
 /// 1 is a quarter turn, which is none.
 const CANDIDATES: usize = 32;
 
-/// How long the search goes on.
-struct Effort {
-    rounds: usize,
-    /// Random starts in a round.
-    starts: usize,
-    /// How often the round's best is shown its worst points and improved.
-    exchanges: usize,
-}
-
-impl Effort {
-    /// For what is stored.
-    const LONG: Self = Self { rounds: 8, starts: 8, exchanges: 24 };
-    /// As much as a start of the pipeline can wait for: squares about one degree larger.
-    const SHORT: Self = Self { rounds: 1, starts: 4, exchanges: 8 };
-}
-
 /// Rolls, degrees from 0 to 90 to four decimals, of upright views along `points`.
 pub(super) fn degrees(
     points: &[Vector3<f64>],
-    facets: &[Facet],
+    facets: &[Triangle],
     seed: u64,
     takes_long: bool,
 ) -> Vec<f64> {
-    let effort = if takes_long { Effort::LONG } else { Effort::SHORT };
-    let mut samples = Samples::new(points, facets);
-    let mut random = Random::new(seed, u64::MAX);
+    // The random starts in a round, and how often its best is shown its worst points and improved.
+    // The short search is what a start of the pipeline can wait for; its squares are about one
+    // degree larger.
+    let (rounds, starts, exchanges) = if takes_long { (8, 8, 24) } else { (1, 4, 8) };
+    let mut samples = samples(points, facets);
+    let enough = HALF_MARGIN_RAD + covering_cosine(facets).acos();
+    let limit = if enough < 1.48 { enough.tan() } else { f64::INFINITY };
+    let mut random = Chance::stream(seed, u64::MAX);
     let mut least = (f64::INFINITY, vec![0.0; points.len()]);
-    for _ in 0..effort.rounds {
+    for _ in 0..rounds {
         let mut best: Option<(f64, Vec<f64>)> = None;
-        for _ in 0..effort.starts {
+        for _ in 0..starts {
             let rolls = points.iter().map(|_| random.unit()).collect();
-            let mut turning = Turning::new(&samples, points, rolls);
+            let mut turning = Turning::new(&samples, limit, points, rolls);
             while turning.sweep(5, |_, k| k as f64 / CANDIDATES as f64, CANDIDATES) {}
             turning.refine(6);
             let worst = turning.worst();
@@ -61,8 +50,8 @@ pub(super) fn degrees(
             }
         }
         let Some((_, mut rolls)) = best else { break };
-        for _ in 0..effort.exchanges {
-            let mut turning = Turning::new(&samples, points, rolls);
+        for _ in 0..exchanges {
+            let mut turning = Turning::new(&samples, limit, points, rolls);
             turning.refine(8);
             rolls = turning.rolls;
             let squares: Vec<_> =
@@ -70,10 +59,10 @@ pub(super) fn degrees(
             let Some(field) = half_field(&squares, points, facets, HALF_MARGIN_RAD, 1e-4) else {
                 break;
             };
-            if field.certified_tan < least.0 {
-                least = (field.certified_tan, rolls.clone());
+            if field.certified_tan() < least.0 {
+                least = (field.certified_tan(), rolls.clone());
             }
-            samples.points.extend(field.worst.iter().rev().take(8));
+            samples.extend(field.worst.iter().rev().take(8));
         }
     }
     least
@@ -90,37 +79,28 @@ fn square(point: &Vector3<f64>, half_tan: f64) -> Square {
     Square::new(upright_axes(point), turn)
 }
 
-/// Directions at which what the views need is looked at.
-struct Samples {
-    points: Vec<Vector3<f64>>,
-    /// Tangent of the half-field that the circumscribed squares need.
-    limit: f64,
-}
-
-impl Samples {
-    /// The holes, and a grid in each facet.
-    fn new(directions: &[Vector3<f64>], facets: &[Facet]) -> Self {
-        let steps = ((2 * SAMPLES / facets.len()) as f64).sqrt().ceil() as usize;
-        let mut points: Vec<_> = facets.iter().map(|facet| facet.normal).collect();
-        for facet in facets {
-            let [a, b, c] = facet.corners.map(|corner| directions[corner]);
-            for i in 0..=steps {
-                for j in 0..=steps - i {
-                    let point = a * i as f64 + b * j as f64 + c * (steps - i - j) as f64;
-                    points.push(point / point.norm_squared().sqrt());
-                }
+/// Directions at which what the views need is looked at: the holes, and a grid in each facet.
+fn samples(directions: &[Vector3<f64>], facets: &[Triangle]) -> Vec<Vector3<f64>> {
+    let steps = ((2 * SAMPLES / facets.len()) as f64).sqrt().ceil() as usize;
+    let mut points: Vec<_> = facets.iter().map(|facet| facet.normal).collect();
+    for facet in facets {
+        let [a, b, c] = facet.corners.map(|corner| directions[corner]);
+        for i in 0..=steps {
+            for j in 0..=steps - i {
+                let point = a * i as f64 + b * j as f64 + c * (steps - i - j) as f64;
+                points.push(point / point.norm_squared().sqrt());
             }
         }
-        let enough = HALF_MARGIN_RAD + covering_cosine(facets).acos();
-        let limit = if enough < 1.48 { enough.tan() } else { f64::INFINITY };
-        Self { points, limit }
     }
+    points
 }
 
 /// Rolls on their way to the smallest squares.
 struct Turning<'a> {
     points: &'a [Vector3<f64>],
-    samples: &'a Samples,
+    samples: &'a [Vector3<f64>],
+    /// Tangent of the half-field that the circumscribed squares need.
+    limit: f64,
     sin_half: f64,
     /// Tangents of half the rolls.
     rolls: Vec<f64>,
@@ -131,24 +111,29 @@ struct Turning<'a> {
 }
 
 impl<'a> Turning<'a> {
-    fn new(samples: &'a Samples, points: &'a [Vector3<f64>], rolls: Vec<f64>) -> Self {
+    fn new(
+        samples: &'a [Vector3<f64>],
+        limit: f64,
+        points: &'a [Vector3<f64>],
+        rolls: Vec<f64>,
+    ) -> Self {
         let sin_half = HALF_MARGIN_RAD.sin();
         let mut near = vec![Vec::new(); points.len()];
-        let mut needed = vec![Vec::new(); samples.points.len()];
+        let mut needed = vec![Vec::new(); samples.len()];
         let level = Square::new([Vector3::x(), Vector3::y(), Vector3::z()], (1.0, 0.0));
-        for (index, sample) in samples.points.iter().enumerate() {
+        for (index, sample) in samples.iter().enumerate() {
             for (view, point) in points.iter().enumerate() {
                 // On a diagonal it needs the least.
                 let z = point.dot(sample);
                 let x = ((1.0 - z * z).max(0.0) / 2.0).sqrt();
-                if level.needed(&Vector3::new(x, x, z), sin_half) <= samples.limit {
+                if level.needed(&Vector3::new(x, x, z), sin_half) <= limit {
                     near[view].push(index);
                     let now = square(point, rolls[view]).needed(sample, sin_half);
                     needed[index].push((view, now));
                 }
             }
         }
-        Self { points, samples, sin_half, rolls, near, needed }
+        Self { points, samples, limit, sin_half, rolls, near, needed }
     }
 
     /// The half-field's tangent that the worst sample needs.
@@ -190,7 +175,7 @@ impl<'a> Turning<'a> {
                 self.rolls[view] = best.1;
                 let square = square(&self.points[view], best.1);
                 for &sample in &self.near[view] {
-                    let now = square.needed(&self.samples.points[sample], self.sin_half);
+                    let now = square.needed(&self.samples[sample], self.sin_half);
                     for entry in self.needed[sample].iter_mut().filter(|entry| entry.0 == view) {
                         entry.1 = now;
                     }
@@ -200,7 +185,6 @@ impl<'a> Turning<'a> {
         has_turned
     }
 
-    /// Smaller and smaller turns.
     fn refine(&mut self, doublings: u32) {
         for step in [1e-2, 3e-3, 1e-3, 3e-4, 1e-4] {
             let aside = |roll: f64, index: usize| {
@@ -216,7 +200,8 @@ impl<'a> Turning<'a> {
         }
     }
 
-    /// Sum over the view's samples of what they need to the 2^`doublings`-th power, infinite beyond `limit`.
+    /// Sum over the view's samples of what they need to the 2^`doublings`-th power, infinite beyond
+    /// `limit`.
     fn cost(
         &self,
         view: usize,
@@ -226,10 +211,10 @@ impl<'a> Turning<'a> {
         limit: f64,
     ) -> f64 {
         let square = square(&self.points[view], roll);
-        let scale = 1.0 / self.samples.limit.min(10.0);
+        let scale = 1.0 / self.limit.min(10.0);
         let mut sum = 0.0;
         for &(sample, other) in others {
-            let needed = square.needed(&self.samples.points[sample], self.sin_half).min(other);
+            let needed = square.needed(&self.samples[sample], self.sin_half).min(other);
             let mut power = needed.min(1e3) * scale;
             for _ in 0..doublings {
                 power *= power;

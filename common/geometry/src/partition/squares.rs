@@ -10,7 +10,7 @@ use std::f64::consts::FRAC_PI_2;
 
 use nalgebra::Vector3;
 
-use super::hull::{Facet, covering_cosine};
+use super::hull::{Triangle, covering_cosine};
 
 /// A square view: its axes x right, y down, z forward, in the camera frame.
 #[derive(Debug, Clone, Copy)]
@@ -45,9 +45,7 @@ impl Square {
         };
         along(self.right.dot(p)).max(along(self.down.dot(p)))
     }
-}
 
-impl Square {
     /// Whether the view can be of use in a cap: false if every disc of the cap's points needs more
     /// than `limit`. `sin_inner` is the sine of the disc's half-angle less the cap's: the disc (or
     /// for negative values the nearness) that all of the cap's points have in common.
@@ -67,17 +65,6 @@ pub(super) fn needed_by_best(squares: &[Square], p: &Vector3<f64>, sin_half: f64
     squares.iter().map(|square| square.needed(p, sin_half)).fold(f64::INFINITY, f64::min)
 }
 
-/// What [`half_field`] found.
-#[derive(Debug, Clone, PartialEq)]
-pub(super) struct HalfField {
-    /// Tangent of a half-field that holds every disc: never too small, too large by the tolerance.
-    pub(super) certified_tan: f64,
-    /// The directions that need the most, where the search ended.
-    pub(super) worst: Vec<Vector3<f64>>,
-    /// How many triangles were looked at.
-    pub(super) triangles: usize,
-}
-
 /// After so many triangles the tolerance is doubled: where squares meet along whole sides, as those
 /// of the cube without a margin, a whole line needs the same.
 const PATIENCE: usize = 100_000;
@@ -91,19 +78,20 @@ const LARGEST_TAN: f64 = 11.43;
 /// The sphere is cut into triangles, at first the facets of the directions' hull. A triangle lies
 /// in a cap of half-angle c round its middle m, so the disc of half-angle e + c round m holds the
 /// discs of half-angle e round all of its points: what the large disc needs bounds what they need.
-/// A triangle whose bound is within `tolerance_rad` (or a few times that, see [`PATIENCE`]) of the worst point seen is done; another is
-/// cut into four. `None`: some disc is in no view of less than 170 degrees.
+/// A triangle whose bound is within `tolerance_rad` (or a few times that, see [`PATIENCE`]) of the
+/// worst point seen is done; another is cut into four. `None`: some disc is in no view of less than
+/// 170 degrees.
 pub(super) fn half_field(
     squares: &[Square],
     points: &[Vector3<f64>],
-    facets: &[Facet],
+    facets: &[Triangle],
     half_rad: f64,
     tolerance_rad: f64,
-) -> Option<HalfField> {
+) -> Option<HalfFieldBound> {
     let (sin, cos) = half_rad.sin_cos();
     // The circumscribed squares hold every disc.
     let enough = half_rad + covering_cosine(facets).acos();
-    let mut search = Search {
+    let mut bound = HalfFieldBound {
         half: (sin, cos),
         limit_tan: if enough < FRAC_PI_2 { enough.tan() + 1e-9 } else { f64::INFINITY },
         tolerance_rad,
@@ -115,26 +103,23 @@ pub(super) fn half_field(
     for facet in facets {
         let [a, b, c] = facet.corners.map(|corner| points[corner]);
         for p in [facet.normal, normalized(a + b), normalized(b + c), normalized(c + a)] {
-            search.worst_tan = search.worst_tan.max(needed_by_best(squares, &p, sin));
+            bound.worst_tan = bound.worst_tan.max(needed_by_best(squares, &p, sin));
         }
     }
-    if search.worst_tan > LARGEST_TAN {
+    if bound.worst_tan > LARGEST_TAN {
         return None;
     }
     let all: Vec<_> = squares.iter().collect();
     for facet in facets {
-        if !search.visit(facet.corners.map(|corner| points[corner]), &all) {
+        if !bound.visit(facet.corners.map(|corner| points[corner]), &all) {
             return None;
         }
     }
-    Some(HalfField {
-        certified_tan: search.done_tan(),
-        worst: search.worst,
-        triangles: search.triangles,
-    })
+    Some(bound)
 }
 
-struct Search {
+/// A bound on the half-field that some squares need, ever closer while triangles are visited.
+pub(super) struct HalfFieldBound {
     /// Sine and cosine of the disc's half-angle.
     half: (f64, f64),
     /// What is certainly enough.
@@ -142,13 +127,16 @@ struct Search {
     tolerance_rad: f64,
     /// The largest half-field that a point was seen to need.
     worst_tan: f64,
-    worst: Vec<Vector3<f64>>,
-    triangles: usize,
+    /// The directions that needed the most, the last one most of all.
+    pub(super) worst: Vec<Vector3<f64>>,
+    /// How many triangles were looked at.
+    pub(super) triangles: usize,
 }
 
-impl Search {
-    /// The bound below which a triangle is done.
-    fn done_tan(&self) -> f64 {
+impl HalfFieldBound {
+    /// Tangent of a half-field that holds every disc once all triangles were visited: never too
+    /// small, too large by the tolerance. A triangle that needs no more is done.
+    pub(super) fn certified_tan(&self) -> f64 {
         // The tangent's slope only grows, so this is at most the tolerance beyond the worst.
         self.worst_tan + self.tolerance_rad * (1.0 + self.worst_tan * self.worst_tan)
     }
@@ -166,7 +154,7 @@ impl Search {
         let large_sin = sin * cap_cos + cos * cap_sin;
         let is_pinhole = cos * cap_cos - sin * cap_sin > 0.0;
         if is_pinhole {
-            let done = self.done_tan();
+            let done = self.certified_tan();
             if candidates.iter().any(|square| square.needed(&middle, large_sin) <= done) {
                 return true;
             }

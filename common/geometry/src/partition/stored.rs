@@ -1,7 +1,7 @@
 //! Partitions found beforehand, so that a start costs nothing.
 //!
-//! `data/partitions.json` is what `flockeye partition --compute --json` printed. Only its directions
-//! and rolls are read; [`super::Partition`] measures everything else again.
+//! `data/partitions.json` is what `flockeye partition --compute --json` printed. Only its
+//! directions and rolls are read; [`super::Partition`] measures everything else again.
 
 use nalgebra::{Unit, Vector3};
 use serde::Deserialize;
@@ -9,12 +9,7 @@ use serde::Deserialize;
 use crate::Ray;
 
 #[derive(Deserialize)]
-struct File {
-    partitions: Vec<Entry>,
-}
-
-#[derive(Deserialize)]
-struct Entry {
+struct StoredCovering {
     directions: Vec<[f64; 3]>,
     rolls_deg: Vec<f64>,
 }
@@ -22,11 +17,13 @@ struct Entry {
 /// The stored coverings: the directions of each, and the roll of the view along each of them.
 #[expect(clippy::expect_used, reason = "the file is part of the program; a test reads all of it")]
 pub(super) fn coverings() -> impl Iterator<Item = (Vec<Ray>, Vec<f64>)> {
-    let file: File =
+    let mut file: serde_json::Value =
         serde_json::from_str(include_str!("../../data/partitions.json")).expect("partitions.json");
-    file.partitions.into_iter().map(|entry| {
+    let coverings: Vec<StoredCovering> =
+        serde_json::from_value(file["partitions"].take()).expect("partitions.json");
+    coverings.into_iter().map(|covering| {
         // As written, to the last bit: they are unit vectors already.
         let direction = |&xyz: &[f64; 3]| Unit::new_unchecked(Vector3::from(xyz));
-        (entry.directions.iter().map(direction).collect(), entry.rolls_deg)
+        (covering.directions.iter().map(direction).collect(), covering.rolls_deg)
     })
 }

@@ -4,8 +4,11 @@ use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, Translation3, UnitQuaterni
 
 use super::rays::{CornerRay, SightedMarker, sighted};
 use super::refine::{refine_sighted, rough_cost};
-use super::{PoseError, PoseOptions, PoseSolution, ippe};
+use super::{PoseError, PoseSolution, ippe};
 use crate::body::Body;
+
+/// Maximum hypotheses that are refined.
+const REFINED_MAX: usize = 6;
 
 /// Solutions nearer to each other than this are one: radians, and share of the range.
 const DISTINCT: f64 = 0.02;
@@ -13,18 +16,15 @@ const DISTINCT: f64 = 0.02;
 /// Every distinct pose of `body` that explains its rays in one frame, cheapest first: usually one,
 /// or two where the rays leave a mirror image open.
 ///
-/// Rays of markers that the body does not have, rays that are no numbers, and corners seen twice are
-/// sorted out here. Of a marker that is seen at two places, the place that agrees with the others counts.
-/// Where three or more markers are seen, up to 30 % of them may be misread, or 30 % of all corners be wrong. The same rays always give the same solutions.
+/// Rays of markers that the body does not have, rays that are no numbers, and corners seen twice
+/// are sorted out here. Of a marker that is seen at two places, the place that agrees with the
+/// others counts. Where three or more markers are seen, up to 30 % of them may be misread, or 30 %
+/// of all corners be wrong. The same rays always give the same solutions.
 ///
 /// # Errors
 /// Too few rays, no whole marker, or nothing that fits: [`PoseError`].
-pub fn solve(
-    body: &Body,
-    rays: &[CornerRay],
-    options: &PoseOptions,
-) -> Result<Vec<PoseSolution>, PoseError> {
-    let markers = sighted(body, rays, options);
+pub fn solve(body: &Body, rays: &[CornerRay]) -> Result<Vec<PoseSolution>, PoseError> {
+    let markers = sighted(body, rays);
     let usable = markers.iter().map(|marker| marker.sights.len()).sum();
     if usable < 4 {
         return Err(PoseError::TooFewRays { usable, given: rays.len() });
@@ -33,14 +33,14 @@ pub fn solve(
         return Err(PoseError::NoWholeMarker { markers: markers.len() });
     }
     let mut solutions: Vec<PoseSolution> = Vec::new();
-    refine_best(&mut solutions, &markers, whole_marker_poses, options);
+    refine_best(&mut solutions, &markers, whole_marker_poses);
     // Where rays are left over, some of them are wrong, and whole markers may all hold one.
     if cheapest(&solutions).is_none_or(|best| best.inlier_corners < usable) {
-        refine_best(&mut solutions, &markers, three_corner_poses, options);
+        refine_best(&mut solutions, &markers, three_corner_poses);
     }
     // The mirror image of the whole set of the best's markers, which no single marker may show.
     if let Some(mirrored) = cheapest(&solutions).and_then(|best| mirror(&markers, best)) {
-        keep_if_distinct(&mut solutions, refine_sighted(&markers, &mirrored, options));
+        keep_if_distinct(&mut solutions, refine_sighted(&markers, &mirrored));
     }
     solutions.sort_by(|a, b| a.cost.total_cmp(&b.cost));
     // What half of the best's rays do not support was started by a misread marker.
@@ -57,7 +57,6 @@ fn refine_best(
     solutions: &mut Vec<PoseSolution>,
     markers: &[SightedMarker<'_>],
     poses: fn(&SightedMarker<'_>) -> Vec<Isometry3<f64>>,
-    options: &PoseOptions,
 ) {
     let mut hypotheses: Vec<(f64, Isometry3<f64>)> =
         markers.iter().flat_map(poses).map(|pose| (rough_cost(markers, &pose), pose)).collect();
@@ -65,7 +64,7 @@ fn refine_best(
     hypotheses.sort_by(|a, b| a.0.total_cmp(&b.0));
     let mut refined = 0;
     for (_, start) in &hypotheses {
-        if refined >= options.refined_max.max(1) {
+        if refined >= REFINED_MAX {
             break;
         }
         // What starts where a solution already is would end there.
@@ -75,7 +74,7 @@ fn refine_best(
             continue;
         }
         refined += 1;
-        keep_if_distinct(solutions, refine_sighted(markers, start, options));
+        keep_if_distinct(solutions, refine_sighted(markers, start));
     }
 }
 
@@ -142,9 +141,9 @@ fn mirror(markers: &[SightedMarker<'_>], solution: &PoseSolution) -> Option<Isom
 }
 
 /// The other pose in which what is flat looks the same from afar: `R' = M_v R M_n`, with M the
-/// reflections at the planes across the line of sight v to its `middle` and across its unit `normal` n,
-/// both in the markers' frame (the ambiguity of weak perspective). The middle stays where it is seen.
-/// `None` where that is the camera itself.
+/// reflections at the planes across the line of sight v to its `middle` and across its unit
+/// `normal` n, both in the markers' frame (the ambiguity of weak perspective). The middle stays
+/// where it is seen. `None` where that is the camera itself.
 pub fn mirror_image(
     camera_from_markers: &Isometry3<f64>,
     middle: &Point3<f64>,

@@ -1,30 +1,6 @@
 //! Which of several solutions is meant.
 
-use nalgebra::{Isometry3, Matrix6, Vector6};
-
-use super::PoseSolution;
-
-/// What is known of a pose before it is measured, as a track's prediction.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct PosePrior {
-    /// The predicted pose of the body's markers in the camera frame.
-    pub camera_from_markers: Isometry3<f64>,
-    /// Its covariance: position (m), then rotation vector (rad), in the camera frame's axes.
-    pub covariance: Matrix6<f64>,
-}
-
-/// The best of several solutions.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Choice<'a> {
-    /// The solution.
-    pub solution: &'a PoseSolution,
-    /// Its cost over the runner-up's, the prior's share in both: near 1 if it might as well be the
-    /// other, 0 if there is no other.
-    pub cost_ratio: f64,
-    /// The runner-up's cost less its own: twice the logarithm of their likelihoods' ratio. Infinite
-    /// if there is no other.
-    pub cost_margin: f64,
-}
+use super::{PoseEstimate, PoseSolution, pose_difference};
 
 /// A prior never weighs more than about this many squared standard deviations for each factor of e
 /// by which it is exceeded, so that a wrong track can be contradicted: the 99.9 % quantile of
@@ -34,8 +10,17 @@ const PRIOR_SCALE: f64 = 22.46;
 /// The cheapest solution, its distance from the prior counted in; `None` if there is none.
 pub fn choose<'a>(
     solutions: &'a [PoseSolution],
-    predicted: Option<&PosePrior>,
-) -> Option<Choice<'a>> {
+    predicted: Option<&PoseEstimate>,
+) -> Option<&'a PoseSolution> {
+    ranked(solutions, predicted).first().map(|&(_, solution)| solution)
+}
+
+/// The solutions with their costs, their distances from the prior counted in; the cheapest comes
+/// first. The difference of two costs is twice the logarithm of their likelihoods' ratio.
+pub(super) fn ranked<'a>(
+    solutions: &'a [PoseSolution],
+    predicted: Option<&PoseEstimate>,
+) -> Vec<(f64, &'a PoseSolution)> {
     let mut ranked: Vec<(f64, &PoseSolution)> = solutions
         .iter()
         .map(|solution| {
@@ -44,25 +29,12 @@ pub fn choose<'a>(
         })
         .collect();
     ranked.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let &(cost, solution) = ranked.first()?;
-    let (cost_ratio, cost_margin) = match ranked.get(1) {
-        Some(&(other, _)) if other > 0.0 => (cost / other, other - cost),
-        Some(_) => (1.0, 0.0),
-        None => (0.0, f64::INFINITY),
-    };
-    Some(Choice { solution, cost_ratio, cost_margin })
+    ranked
 }
 
 /// Robust squared Mahalanobis distance between a solution and a prior.
-fn prior_cost(solution: &PoseSolution, prior: &PosePrior) -> f64 {
-    let (found, expected) = (&solution.camera_from_markers, &prior.camera_from_markers);
-    let mut difference = Vector6::zeros();
-    difference
-        .fixed_rows_mut::<3>(0)
-        .copy_from(&(found.translation.vector - expected.translation.vector));
-    difference
-        .fixed_rows_mut::<3>(3)
-        .copy_from(&(found.rotation * expected.rotation.inverse()).scaled_axis());
+fn prior_cost(solution: &PoseSolution, prior: &PoseEstimate) -> f64 {
+    let difference = pose_difference(&solution.camera_from_markers, &prior.camera_from_markers);
     let covariance = prior.covariance + solution.inflated_covariance();
     // A covariance that is none says nothing.
     let squared =

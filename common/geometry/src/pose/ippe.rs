@@ -42,11 +42,13 @@ pub fn poses_of_square(side: f64, rays: &[Vector3<f64>; 4]) -> Option<[Isometry3
     Some([pose(&rotations[0])?, pose(&rotations[1])?])
 }
 
-/// How far the corners that are seen along `rays` are from those of a square, in ArUco's order: squared, in standard deviations
-/// across each ray, radians. Two of a square's eight coordinates are not free, so the tail of right corners' distances is that
-/// of a chi-square distribution of 2 degrees.
+/// How far the corners that are seen along `rays` are from those of a square, in ArUco's order:
+/// squared, in standard deviations across each ray, radians. Two of a square's eight coordinates
+/// are not free, so the tail of right corners' distances is that of a chi-square distribution of 2
+/// degrees.
 ///
-/// The nearer one of the two poses by [`poses_of_square`] counts. `None` for rays that are no picture of a square.
+/// The nearer one of the two poses by [`poses_of_square`] counts. `None` for rays that are no
+/// picture of a square.
 pub fn squared_distance_from_square(rays: &[Ray; 4], deviations_rad: &[f64; 4]) -> Option<f64> {
     let poses = poses_of_square(1.0, &rays.map(Ray::into_inner))?;
     let squared_distance = |pose: &Isometry3<f64>| {
@@ -99,8 +101,8 @@ fn homography_at_centre(
     Some((centre, Matrix2::from_columns(&[column(along_u, g), column(along_v, h)])))
 }
 
-/// The two rotations `picture_from_marker` with which the marker's plane has this Jacobian where its
-/// centre is seen at `centre`.
+/// The two rotations `picture_from_marker` with which the marker's plane has this Jacobian where
+/// its centre is seen at `centre`.
 fn rotations(centre: &Vector2<f64>, jacobian: &Matrix2<f64>) -> Option<[Rotation3<f64>; 2]> {
     let to_centre = rotation_from_z(&Vector3::new(centre.x, centre.y, 1.0).normalize());
     let turn = to_centre.matrix();
@@ -132,7 +134,8 @@ fn rotations(centre: &Vector2<f64>, jacobian: &Matrix2<f64>) -> Option<[Rotation
     Some([rotation(1.0)?, rotation(-1.0)?])
 }
 
-/// The translation with which the turned corners lie nearest to the rays, each error across its ray.
+/// The translation with which the turned corners lie nearest to the rays, each error across its
+/// ray.
 fn translation(
     rotation: &Rotation3<f64>,
     model: &[Vector3<f64>; 4],

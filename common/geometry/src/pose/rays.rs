@@ -2,6 +2,7 @@
 
 use nalgebra::{Matrix3x2, Point3, Vector3};
 
+use super::{GATE_DEVIATIONS, GATE_SIDE};
 use crate::Ray;
 use crate::body::{Body, Marker};
 
@@ -28,16 +29,16 @@ impl CornerRay {
     }
 }
 
-/// Two sightings of one marker are of one place if their common corners are nearer to each other than this share of the
-/// marker's apparent side.
+/// Two sightings of one marker are of one place if their common corners are nearer to each other
+/// than this share of the marker's apparent side.
 const SAME_PLACE_SIDES: f64 = 0.5;
 
 /// The rays of each marker at each place, with each corner once, by rising marker.
 ///
-/// Where a corner was seen twice at one place (two views overlap, and resample the same pixels) the ray of smallest
-/// deviation stays, of equal ones the first. One marker at two places stays apart: one of them is another print of it,
-/// or a reflection. Rays that are not usable (not finite, not of unit length, without a positive deviation) are left
-/// out.
+/// Where a corner was seen twice at one place (two views overlap, and resample the same pixels) the
+/// ray of smallest deviation stays, of equal ones the first. One marker at two places stays apart:
+/// one of them is another print of it, or a reflection. Rays that are not usable (not finite, not
+/// of unit length, without a positive deviation) are left out.
 pub(super) fn sightings(rays: &[CornerRay]) -> Vec<Vec<CornerRay>> {
     let mut places: Vec<Vec<CornerRay>> = Vec::new();
     for sighting in in_order(rays) {
@@ -51,7 +52,8 @@ pub(super) fn sightings(rays: &[CornerRay]) -> Vec<Vec<CornerRay>> {
     places
 }
 
-/// The rays of each marker once, by rising marker: at the place where they are sharpest, if it is seen at several.
+/// The rays of each marker once, by rising marker: at the place where they are sharpest, if it is
+/// seen at several.
 pub fn keep_sharpest(rays: &[CornerRay]) -> Vec<CornerRay> {
     let deviation = |place: &Vec<CornerRay>| {
         place.iter().map(|ray| ray.deviation_rad).sum::<f64>() / place.len() as f64
@@ -65,7 +67,8 @@ pub fn keep_sharpest(rays: &[CornerRay]) -> Vec<CornerRay> {
         .collect()
 }
 
-/// The rays as they were given, cut where another marker begins or a corner comes again. None is empty.
+/// The rays as they were given, cut where another marker begins or a corner comes again. None is
+/// empty.
 fn in_order(rays: &[CornerRay]) -> Vec<Vec<CornerRay>> {
     let mut sightings: Vec<Vec<CornerRay>> = Vec::new();
     for ray in rays.iter().filter(|ray| ray.is_usable()) {
@@ -134,12 +137,9 @@ pub(super) struct SightedMarker<'a> {
     pub sights: Vec<Sight>,
 }
 
-/// The usable rays of the body's own markers, by rising id. A marker that is seen at two places is there twice.
-pub(super) fn sighted<'a>(
-    body: &'a Body,
-    rays: &[CornerRay],
-    options: &super::PoseOptions,
-) -> Vec<SightedMarker<'a>> {
+/// The usable rays of the body's own markers, by rising id. A marker that is seen at two places is
+/// there twice.
+pub(super) fn sighted<'a>(body: &'a Body, rays: &[CornerRay]) -> Vec<SightedMarker<'a>> {
     sightings(rays)
         .iter()
         .filter_map(|rays| {
@@ -147,7 +147,7 @@ pub(super) fn sighted<'a>(
             let side_rad = apparent_side_rad(rays);
             let sight = |ray: &CornerRay| {
                 let weight = 1.0 / ray.deviation_rad;
-                let gate = (options.gate_side * side_rad * weight).max(options.gate_deviations);
+                let gate = (GATE_SIDE * side_rad * weight).max(GATE_DEVIATIONS);
                 Sight {
                     corner: marker.corners[ray.corner],
                     ray: ray.ray_in_camera.into_inner(),

@@ -2,52 +2,28 @@
 
 use nalgebra::{Isometry3, Matrix6};
 
-use super::rays::{CornerRay, Sight, SightedMarker, sighted};
+use super::rays::{Sight, SightedMarker};
 use super::residual::{
     Fitting, cauchy, cost, error, error_and_jacobian, facing, fitting, is_agreeing, moved, normal,
 };
-use super::{PoseError, PoseOptions, PoseSolution};
-use crate::body::Body;
+use super::{GATE_DEVIATIONS, PoseSolution, ROBUST_SCALE};
 
 /// Share of a marker's side up to which errors count fully while a start may still be off.
 const COARSE_SIDE: f64 = 0.2;
 /// Errors beyond this share of a marker's side keep it out of the coarse fit.
 const COARSE_GATE: f64 = 0.6;
 
-/// Refines a pose that is roughly known, as from a track, on the rays of `body`.
-///
-/// Unlike [`super::solve`] it needs no whole marker, and it follows one branch of the solution only:
-/// that of `start`.
-///
-/// # Errors
-/// Fewer than four usable rays, or no marker that fits its rays and faces the camera.
-pub fn refine(
-    body: &Body,
-    rays: &[CornerRay],
-    start: &Isometry3<f64>,
-    options: &PoseOptions,
-) -> Result<PoseSolution, PoseError> {
-    let markers = sighted(body, rays, options);
-    let usable = markers.iter().map(|marker| marker.sights.len()).sum();
-    if usable < 4 {
-        return Err(PoseError::TooFewRays { usable, given: rays.len() });
-    }
-    refine_sighted(&markers, start, options)
-        .ok_or(PoseError::NothingFits { markers: markers.len() })
-}
-
 /// First on all rays that roughly agree, errors within a fifth of a side counting fully; then on
 /// those that fit, until these stay the same.
 pub(super) fn refine_sighted(
     markers: &[SightedMarker<'_>],
     start: &Isometry3<f64>,
-    options: &PoseOptions,
 ) -> Option<PoseSolution> {
     let roughly: Vec<Fitting> = markers.iter().map(|marker| roughly_fits(marker, start)).collect();
     let mut pose = *start;
     if count(markers, &roughly) >= 4 {
         pose = minimise(markers, &roughly, &pose, 8, |sight| {
-            (COARSE_SIDE * sight.side).max(options.robust_scale)
+            (COARSE_SIDE * sight.side).max(ROBUST_SCALE)
         })?;
     }
     let mut inliers: Vec<Fitting> =
@@ -56,8 +32,8 @@ pub(super) fn refine_sighted(
         if count(markers, &inliers) < 4 {
             return None;
         }
-        pose = minimise(markers, &inliers, &pose, 30, |_| options.robust_scale)?;
-        let gate = options.gate_deviations * scatter(markers, &inliers, &pose);
+        pose = minimise(markers, &inliers, &pose, 30, |_| ROBUST_SCALE)?;
+        let gate = GATE_DEVIATIONS * scatter(markers, &inliers, &pose);
         let now: Vec<Fitting> = markers
             .iter()
             .map(|marker| fitting(marker, &pose, |sight| sight.gate.min(gate)))
@@ -67,11 +43,11 @@ pub(super) fn refine_sighted(
         }
         inliers = now;
     }
-    solution(markers, &inliers, pose, options)
+    solution(markers, &inliers, pose)
 }
 
-/// What the errors of these rays scatter, in stated deviations, and at least one: half of the errors
-/// of a Gaussian in two dimensions are below 1.18 deviations.
+/// What the errors of these rays scatter, in stated deviations, and at least one: half of the
+/// errors of a Gaussian in two dimensions are below 1.18 deviations.
 fn scatter(markers: &[SightedMarker<'_>], inliers: &[Fitting], pose: &Isometry3<f64>) -> f64 {
     let mut errors: Vec<f64> = chosen_sights(markers, inliers)
         .filter_map(|sight| error(sight, pose))
@@ -86,25 +62,21 @@ fn scatter(markers: &[SightedMarker<'_>], inliers: &[Fitting], pose: &Isometry3<
 
 /// Robust cost of all rays at a pose, in squared standard deviations: those that do not fit cost as
 /// much as at their gates.
-pub(super) fn consensus_cost(
-    markers: &[SightedMarker<'_>],
-    pose: &Isometry3<f64>,
-    options: &PoseOptions,
-) -> f64 {
-    let scale = options.robust_scale;
+pub(super) fn consensus_cost(markers: &[SightedMarker<'_>], pose: &Isometry3<f64>) -> f64 {
     let of_marker = |marker: &SightedMarker<'_>| -> f64 {
         let fitting = fitting(marker, pose, |sight| sight.gate);
         let of_sight = |(sight, fits): (&Sight, bool)| match error(sight, pose) {
-            Some(error) if fits => cauchy(error.norm_squared(), scale),
-            _ => cauchy(sight.gate * sight.gate, scale),
+            Some(error) if fits => cauchy(error.norm_squared(), ROBUST_SCALE),
+            _ => cauchy(sight.gate * sight.gate, ROBUST_SCALE),
         };
         marker.sights.iter().zip(fitting).map(of_sight).sum()
     };
     markers.iter().map(of_marker).sum()
 }
 
-/// How badly a rough pose agrees with the rays, from 0 to 1 for each ray: errors are measured by the
-/// markers' sides, because a hypothesis from one marker is off by more than noise on the others.
+/// How badly a rough pose agrees with the rays, from 0 to 1 for each ray: errors are measured by
+/// the markers' sides, because a hypothesis from one marker is off by more than noise on the
+/// others.
 pub(super) fn rough_cost(markers: &[SightedMarker<'_>], pose: &Isometry3<f64>) -> f64 {
     markers
         .iter()
@@ -196,7 +168,6 @@ fn solution(
     markers: &[SightedMarker<'_>],
     inliers: &[Fitting],
     pose: Isometry3<f64>,
-    options: &PoseOptions,
 ) -> Option<PoseSolution> {
     let sights = chosen_sights(markers, inliers);
     let inlier_corners = sights.clone().count();
@@ -207,30 +178,27 @@ fn solution(
     let freedom = (2 * inlier_corners - 6) as f64;
     // A pose bends to its rays, so that what is weighed of their errors is less than these are.
     let bent = (freedom / (2 * inlier_corners) as f64).sqrt();
-    let covariance = covariance(sights.clone(), &pose, options.robust_scale / bent)?;
+    let covariance = covariance(sights.clone(), &pose, ROBUST_SCALE / bent)?;
     if !covariance.iter().chain(pose.translation.vector.iter()).all(|x| x.is_finite()) {
         return None;
     }
     let squares: f64 =
         sights.filter_map(|sight| error(sight, &pose)).map(|error| error.norm_squared()).sum();
     let agreeing =
-        |&(marker, fitting): &(&SightedMarker<'_>, &Fitting)| is_agreeing(marker, fitting);
-    let fitting = || markers.iter().zip(inliers).filter(agreeing);
+        markers.iter().zip(inliers).filter(|(marker, fitting)| is_agreeing(marker, fitting));
     Some(PoseSolution {
         camera_from_markers: pose,
         covariance,
-        cost: consensus_cost(markers, &pose, options),
+        cost: consensus_cost(markers, &pose),
         reduced_chi_square: squares / freedom,
-        inlier_markers: fitting().map(|(marker, _)| marker.marker.id).collect(),
+        inlier_markers: agreeing.map(|(marker, _)| marker.marker.id).collect(),
         inlier_corners,
-        corners: markers.iter().map(|marker| marker.sights.len()).sum(),
-        faces_camera: fitting().all(|(marker, _)| facing(marker, &pose) > 0.0),
     })
 }
 
-/// Covariance of the pose that minimises the robust cost of these rays, if their errors are Gaussian
-/// as stated: `(J^T J)^-1` times what the weights lose (P. Huber, Robust Statistics, 1981, 6.3), the
-/// mean of the squared influence over the squared mean of its slope.
+/// Covariance of the pose that minimises the robust cost of these rays, if their errors are
+/// Gaussian as stated: `(J^T J)^-1` times what the weights lose (P. Huber, Robust Statistics, 1981,
+/// 6.3), the mean of the squared influence over the squared mean of its slope.
 fn covariance<'a>(
     sights: impl Iterator<Item = &'a Sight>,
     pose: &Isometry3<f64>,

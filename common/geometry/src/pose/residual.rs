@@ -47,7 +47,7 @@ pub(super) fn error_and_jacobian(
 }
 
 /// The pose moved by `step`: position, then rotation vector, in the camera's axes.
-pub(super) fn moved(pose: &Isometry3<f64>, step: &Vector6<f64>) -> Isometry3<f64> {
+pub fn moved(pose: &Isometry3<f64>, step: &Vector6<f64>) -> Isometry3<f64> {
     let position: Vector3<f64> = step.fixed_rows::<3>(0).into_owned();
     let turn = step.fixed_rows::<3>(3).into_owned();
     let mut rotation = nalgebra::UnitQuaternion::from_scaled_axis(turn) * pose.rotation;
@@ -69,9 +69,9 @@ pub(super) fn facing(marker: &SightedMarker<'_>, camera_from_markers: &Isometry3
     centre.try_normalize(1e-9).map_or(-1.0, |direction| -normal.dot(&direction))
 }
 
-/// Which rays of a marker fit: those within `gate` of it, if its front is seen, or it is edge on, and
-/// they are more than half of its rays. What few corners of a misread marker happen to lie right
-/// says nothing.
+/// Which rays of a marker fit: those within `gate` of it, if its front is seen, or it is edge on,
+/// and they are more than half of its rays. What few corners of a misread marker happen to lie
+/// right says nothing.
 pub(super) fn fitting(
     marker: &SightedMarker<'_>,
     camera_from_markers: &Isometry3<f64>,

@@ -59,12 +59,12 @@ fn one_marker_at_two_places_is_outvoted_where_the_others_do_not_see_it() {
     let pose = chance.pose(1.0);
     let mut rays: Vec<CornerRay> =
         body.markers.iter().flat_map(|marker| see(marker, &pose, 1e-4, &mut chance)).collect();
-    let honest = solve(&body, &rays, &PoseOptions::default()).unwrap();
+    let honest = solve(&body, &rays).unwrap();
     // The same marker on another drone, nearer and sharper.
     let elsewhere = Isometry3::translation(0.1, 0.3, -0.2) * pose;
     let other = see(&body.markers[3], &elsewhere, 1e-5, &mut chance);
     rays.splice(0..0, other);
-    let found = solve(&body, &rays, &PoseOptions::default()).unwrap();
+    let found = solve(&body, &rays).unwrap();
     let apart = honest[0].camera_from_markers.inverse() * found[0].camera_from_markers;
     assert!(apart.translation.vector.norm() < 1e-3, "{apart}");
     assert_eq!(found[0].inlier_corners, honest[0].inlier_corners);
@@ -76,7 +76,7 @@ proptest! {
         let (mut chance, body) = (Chance::new(seed), body());
         let pose = chance.pose(range);
         let rays = see(&body.markers[3], &pose, 1e-2, &mut chance);
-        let markers = rays::sighted(&body, &rays, &PoseOptions::default());
+        let markers = rays::sighted(&body, &rays);
         for sight in &markers[0].sights {
             let (_, jacobian) = error_and_jacobian(sight, &pose).unwrap();
             for k in 0..6 {
@@ -117,16 +117,16 @@ proptest! {
             .iter()
             .flat_map(|marker| see(marker, &pose, pixels / 611.0, &mut chance))
             .collect();
-        let solutions = solve(&body, &rays, &PoseOptions::default()).unwrap();
+        let solutions = solve(&body, &rays).unwrap();
         let choice = choose(&solutions, None).unwrap();
         // 6.7 deviations of chi-square with 6 degrees: one in 10^7 exceeds 44.
         let distance = distance_squared(
-            &error(&pose, &choice.solution.camera_from_markers),
-            &choice.solution.covariance,
+            &error(&pose, &choice.camera_from_markers),
+            &choice.covariance,
         );
         prop_assert!(distance < 50.0, "{distance} {choice:?}");
         // Once in many thousands a corner is noisy enough to look like an outlier.
-        prop_assert!(choice.solution.inlier_markers.len() + 1 >= markers.len());
+        prop_assert!(choice.inlier_markers.len() + 1 >= markers.len());
         for solution in &solutions {
             for id in &solution.inlier_markers {
                 let marker = body.marker(*id).unwrap();
@@ -161,16 +161,16 @@ proptest! {
                 }
             }
         }
-        let solutions = solve(&body, &rays, &PoseOptions::default()).unwrap();
+        let solutions = solve(&body, &rays).unwrap();
         let choice = choose(&solutions, None).unwrap();
         let right: Vec<u32> = markers[wrong..].iter().map(|marker| marker.id).collect();
-        let inliers = &choice.solution.inlier_markers;
+        let inliers = &choice.inlier_markers;
         prop_assert!(inliers.iter().all(|id| right.contains(id)), "{inliers:?} {right:?}");
         // Once in many thousands a corner is noisy enough to look like an outlier.
         prop_assert!(inliers.len() + 1 >= right.len(), "{inliers:?} {right:?}");
         let distance = distance_squared(
-            &error(&pose, &choice.solution.camera_from_markers),
-            &choice.solution.covariance,
+            &error(&pose, &choice.camera_from_markers),
+            &choice.covariance,
         );
         prop_assert!(distance < 50.0, "{}", distance);
     }
@@ -189,7 +189,7 @@ proptest! {
                 deviation_rad,
             })
             .collect();
-        if let Ok(solutions) = solve(&body(), &rays, &PoseOptions::default()) {
+        if let Ok(solutions) = solve(&body(), &rays) {
             prop_assert!(solutions.iter().all(|solution| solution.inlier_corners >= 4));
         }
     }
@@ -229,7 +229,8 @@ impl Consistency {
     }
 }
 
-/// In the tail, which decides. In the mean they are somewhat nearer, because the nearer one of two poses counts.
+/// In the tail, which decides. In the mean they are somewhat nearer, because the nearer one of two
+/// poses counts.
 #[test]
 fn right_corners_are_as_far_from_a_square_as_they_are_uncertain() {
     let (mut chance, body) = (Chance::new(5), body());
@@ -266,7 +267,7 @@ fn the_covariance_is_consistent() {
         }
         let rays: Vec<_> =
             markers.iter().flat_map(|marker| see(marker, &pose, 2e-4, &mut chance)).collect();
-        let solutions = solve(&body, &rays, &PoseOptions::default()).unwrap();
+        let solutions = solve(&body, &rays).unwrap();
         consistency.add(&pose, &solutions[0]);
     }
     consistency.check();
@@ -296,7 +297,7 @@ fn a_third_of_wrong_corners_is_put_aside() {
             let ray = &mut rays[wrong].ray_in_camera;
             *ray = Unit::new_normalize(ray.into_inner() + off);
         }
-        let Ok(solutions) = solve(&body, &rays, &PoseOptions::default()) else { continue };
+        let Ok(solutions) = solve(&body, &rays) else { continue };
         let found = &solutions[0];
         if error(&pose, &found.camera_from_markers).fixed_rows::<3>(3).norm() < 0.2 {
             right += 1;
@@ -323,17 +324,15 @@ fn a_clear_choice_is_the_right_one() {
         let deviation = chance.even(0.05, 0.6) / 611.0;
         let rays: Vec<_> =
             markers.iter().flat_map(|marker| see(marker, &pose, deviation, &mut chance)).collect();
-        let Ok(solutions) = solve(&body, &rays, &PoseOptions::default()) else { continue };
+        let Ok(solutions) = solve(&body, &rays) else { continue };
         let choice = choose(&solutions, None).unwrap();
-        if choice.cost_margin < 12.0 {
+        if margin_and_ratio(&solutions, None).0 < 12.0 {
             unclear += 1;
             continue;
         }
         clear += 1;
-        let distance = distance_squared(
-            &error(&pose, &choice.solution.camera_from_markers),
-            &choice.solution.covariance,
-        );
+        let distance =
+            distance_squared(&error(&pose, &choice.camera_from_markers), &choice.covariance);
         wrong += i32::from(distance > 60.0);
     }
     println!("{clear} clear, {wrong} of them wrong, {unclear} unclear");
@@ -356,11 +355,21 @@ fn two_facets_well_seen_leave_no_doubt_of_the_mirror() {
             .iter()
             .flat_map(|marker| see(marker, &pose, 0.3 / 611.0, &mut chance))
             .collect();
-        let solutions = solve(&body, &rays, &PoseOptions::default()).unwrap();
+        let solutions = solve(&body, &rays).unwrap();
         let choice = choose(&solutions, None).unwrap();
-        assert!(error(&pose, &choice.solution.camera_from_markers).fixed_rows::<3>(3).norm() < 0.3);
-        assert!(choice.cost_margin > 9.0 && choice.cost_ratio < 0.9, "{choice:?}");
+        assert!(error(&pose, &choice.camera_from_markers).fixed_rows::<3>(3).norm() < 0.3);
+        let (margin, ratio) = margin_and_ratio(&solutions, None);
+        assert!(margin > 9.0 && ratio < 0.9, "{choice:?}");
         runs += 1;
+    }
+}
+
+/// The runner-up's cost less the best solution's, and the best one's share of it.
+fn margin_and_ratio(solutions: &[PoseSolution], predicted: Option<&PoseEstimate>) -> (f64, f64) {
+    match choice::ranked(solutions, predicted)[..] {
+        [(cost, _), (other, _), ..] if other > 0.0 => (other - cost, cost / other),
+        [_, _, ..] => (0.0, 1.0),
+        _ => (f64::INFINITY, 0.0),
     }
 }
 
@@ -376,21 +385,24 @@ fn a_single_far_marker_keeps_both_mirrors_until_the_track_decides() {
     let (mut chance, body) = (Chance::new(3), body());
     let pose = slanted();
     let rays = see(body.marker(5).unwrap(), &pose, 0.3 / 611.0, &mut chance);
-    let solutions = solve(&body, &rays, &PoseOptions::default()).unwrap();
+    let solutions = solve(&body, &rays).unwrap();
     assert_eq!(solutions.len(), 2);
     assert!(solutions[0].cost <= solutions[1].cost);
-    assert!(solutions.iter().all(|solution| solution.faces_camera));
-    let undecided = choose(&solutions, None).unwrap();
-    assert!(undecided.cost_margin < 9.0, "{undecided:?}");
+    assert!(solutions.iter().all(|solution| {
+        visible(&body, &solution.camera_from_markers, 0.0).iter().any(|marker| marker.id == 5)
+    }));
+    let undecided = margin_and_ratio(&solutions, None);
+    assert!(undecided.0 < 9.0, "{undecided:?}");
     // Whichever of them is expected is chosen, and then without doubt.
     for expected in &solutions {
-        let prior = PosePrior {
+        let prior = PoseEstimate {
             camera_from_markers: expected.camera_from_markers,
             covariance: Matrix6::identity() * 0.05f64.powi(2),
         };
         let choice = choose(&solutions, Some(&prior)).unwrap();
-        assert_eq!(choice.solution, expected);
-        assert!(choice.cost_margin > 9.0 && choice.cost_ratio < 0.9, "{choice:?}");
+        assert_eq!(choice, expected);
+        let (margin, ratio) = margin_and_ratio(&solutions, Some(&prior));
+        assert!(margin > 9.0 && ratio < 0.9, "{choice:?}");
     }
 }
 
@@ -408,7 +420,7 @@ fn corners_worse_than_they_state_still_count() {
         }
         rays.extend(see(&shrunk, &pose, 1e-4, &mut chance));
     }
-    let solutions = solve(&body, &rays, &PoseOptions::default()).unwrap();
+    let solutions = solve(&body, &rays).unwrap();
     let found = &solutions[0];
     assert_eq!(found.inlier_markers.len(), markers.len());
     assert!(found.reduced_chi_square > 3.0);
@@ -424,30 +436,10 @@ fn the_order_of_the_rays_does_not_matter() {
         .iter()
         .flat_map(|marker| see(marker, &pose, 1e-3, &mut chance))
         .collect();
-    let solutions = solve(&body, &rays, &PoseOptions::default()).unwrap();
+    let solutions = solve(&body, &rays).unwrap();
     rays.reverse();
     rays.extend(rays.clone());
-    assert_eq!(solve(&body, &rays, &PoseOptions::default()).unwrap(), solutions);
-}
-
-#[test]
-fn a_predicted_pose_is_refined_without_a_whole_marker() {
-    let (mut chance, body) = (Chance::new(7), body());
-    let pose = slanted();
-    let mut rays: Vec<_> = visible(&body, &pose, 0.3)
-        .iter()
-        .flat_map(|marker| see(marker, &pose, 2e-4, &mut chance))
-        .collect();
-    rays.retain(|ray| ray.corner != 2);
-    assert!(matches!(
-        solve(&body, &rays, &PoseOptions::default()),
-        Err(PoseError::NoWholeMarker { .. })
-    ));
-    let step = Vector6::new(0.05, 0.01, -0.01, 0.05, -0.08, 0.05);
-    let found = refine(&body, &rays, &moved(&pose, &step), &PoseOptions::default()).unwrap();
-    let distance = distance_squared(&error(&pose, &found.camera_from_markers), &found.covariance);
-    assert!(distance < 50.0, "{distance}");
-    assert!(refine(&body, &rays[..3], &pose, &PoseOptions::default()).is_err());
+    assert_eq!(solve(&body, &rays).unwrap(), solutions);
 }
 
 #[test]
@@ -455,7 +447,7 @@ fn what_cannot_be_solved_is_refused() {
     let (mut chance, body) = (Chance::new(8), body());
     let pose = slanted();
     let rays = see(body.marker(5).unwrap(), &pose, 1e-3, &mut chance);
-    let given = |rays: &[CornerRay]| solve(&body, rays, &PoseOptions::default());
+    let given = |rays: &[CornerRay]| solve(&body, rays);
     assert_eq!(given(&[]), Err(PoseError::TooFewRays { usable: 0, given: 0 }));
     assert_eq!(given(&rays[..3]), Err(PoseError::TooFewRays { usable: 3, given: 3 }));
     let mut broken = rays.clone();
@@ -463,6 +455,10 @@ fn what_cannot_be_solved_is_refused() {
     assert_eq!(given(&broken), Err(PoseError::TooFewRays { usable: 3, given: 4 }));
     let strange: Vec<_> = rays.iter().map(|ray| CornerRay { marker_id: 99, ..*ray }).collect();
     assert_eq!(given(&strange), Err(PoseError::TooFewRays { usable: 0, given: 4 }));
+    let two =
+        [rays[..3].to_vec(), see(body.marker(6).unwrap(), &pose, 1e-3, &mut chance)[..3].to_vec()]
+            .concat();
+    assert!(matches!(given(&two), Err(PoseError::NoWholeMarker { markers: 2 })));
     // All four corners in one place are no square; seen from behind, there is no marker.
     let point: Vec<_> =
         rays.iter().map(|ray| CornerRay { ray_in_camera: rays[0].ray_in_camera, ..*ray }).collect();

@@ -2,7 +2,7 @@
 
 use nalgebra::{Isometry3, Matrix3, Unit, Vector3};
 
-use super::{PlannedView, PlannerError, Purpose, Search};
+use super::{PlannerError, Purpose, Search, SearchView};
 use crate::Ray;
 use crate::body::{Body, Marker};
 use crate::view::View;
@@ -28,7 +28,8 @@ impl PredictedNeighbour {
     /// What a predicted pose of `body`'s markers says of the view to take.
     ///
     /// `position_covariance` (m^2) and `velocity_in_camera` (m/s) are those of the markers' origin
-    /// in the camera frame, the velocity as the camera sees it. `None` for a pose that is not a number or has the camera inside it.
+    /// in the camera frame, the velocity as the camera sees it. `None` for a pose that is not a
+    /// number or has the camera inside it.
     pub fn from_pose(
         target: usize,
         body: &Body,
@@ -59,27 +60,25 @@ impl PredictedNeighbour {
     }
 }
 
-/// How regions of interest are sized and how they share a frame with the partitions.
+/// Side that the smallest marker to be decoded gets in the view, pixels.
+const MARKER_PX: f64 = 80.0;
+/// Side that it gets at least, however uncertain its direction, pixels: below, nothing decodes.
+const MARKER_LEAST_PX: f64 = 24.0;
+/// Largest magnification over the sphere's own resolution.
+const MAGNIFICATION_MAX: f64 = 3.0;
+/// Smallest and largest angle that a view's sides span, degrees.
+const FIELD_MIN_DEG: f64 = 4.0;
+const FIELD_MAX_DEG: f64 = 70.0;
+/// Standard deviations of the direction that are added to either side of the body.
+const MARGIN_DEVIATIONS: f64 = 3.0;
+/// Pixels along the side of the largest view.
+pub const ROI_SIZE_MAX_PX: u32 = 640;
+
+/// How regions of interest share a frame with the partitions, and what their views are cut from.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RoiOptions {
     /// The sphere image's own resolution, pixels for each radian.
     pub pixels_per_radian: f64,
-    /// Side that the smallest marker to be decoded gets in the view, pixels.
-    pub marker_px: f64,
-    /// Side that it gets at least, however uncertain its direction, pixels: below, nothing decodes.
-    pub marker_least_px: f64,
-    /// Largest magnification over the sphere's own resolution.
-    pub magnification_max: f64,
-    /// Smallest angle that a view's sides span, radians.
-    pub field_min_rad: f64,
-    /// Largest angle that a view's sides span, radians.
-    pub field_max_rad: f64,
-    /// Standard deviations of the direction that are added to either side of the body.
-    pub margin_deviations: f64,
-    /// Pixels along the side of the largest view.
-    pub size_max_px: u32,
-    /// Neighbours' views that come before the first partition: see [`super::Planner::plan`].
-    pub views_before_partition: usize,
     /// Partitions that a lossless run searches in each frame beside the neighbours' views.
     pub partitions_per_frame: usize,
 }
@@ -87,47 +86,21 @@ pub struct RoiOptions {
 impl RoiOptions {
     /// The defaults for a sphere image of this resolution (pixels for each radian).
     pub fn new(pixels_per_radian: f64) -> Self {
-        Self {
-            pixels_per_radian,
-            marker_px: 80.0,
-            marker_least_px: 24.0,
-            magnification_max: 3.0,
-            field_min_rad: 4f64.to_radians(),
-            field_max_rad: 70f64.to_radians(),
-            margin_deviations: 3.0,
-            size_max_px: 640,
-            views_before_partition: 4,
-            partitions_per_frame: 2,
-        }
+        Self { pixels_per_radian, partitions_per_frame: 2 }
     }
 
     pub(super) fn check(&self) -> Result<(), PlannerError> {
-        let within = |name, value: f64, least: f64, most: f64, cure| {
-            if (least..=most).contains(&value) {
+        let within = |name, value: f64, most: f64, cure| {
+            if (1.0..=most).contains(&value) {
                 Ok(())
             } else {
                 Err(PlannerError::Roi { name, value, cure })
             }
         };
-        let (least, most) = (self.field_min_rad, self.field_max_rad);
-        within("pixels_per_radian", self.pixels_per_radian, 1.0, 1e5, "1 to 100000 are allowed")?;
-        within("marker_px", self.marker_px, 4.0, 1e3, "4 to 1000 are allowed")?;
-        within(
-            "marker_least_px",
-            self.marker_least_px,
-            1.0,
-            self.marker_px,
-            "it lies between 1 and marker_px",
-        )?;
-        within("magnification_max", self.magnification_max, 1.0, 16.0, "1 to 16 are allowed")?;
-        within("field_min_rad", least, 0.01, 2.4, "0.01 to 2.4 are allowed")?;
-        within("field_max_rad", most, least, 2.4, "it lies between field_min_rad and 2.4")?;
-        within("margin_deviations", self.margin_deviations, 0.0, 10.0, "0 to 10 are allowed")?;
-        within("size_max_px", f64::from(self.size_max_px), 32.0, 4096.0, "32 to 4096 are allowed")?;
+        within("pixels_per_radian", self.pixels_per_radian, 1e5, "1 to 100000 are allowed")?;
         within(
             "partitions_per_frame",
             self.partitions_per_frame as f64,
-            1.0,
             256.0,
             "at least 1, or a newcomer is never found",
         )
@@ -137,17 +110,16 @@ impl RoiOptions {
 /// The view for one neighbour: centred on its direction, its field the body's angular diameter and
 /// the margins for uncertainty.
 ///
-/// It is magnified until the smallest marker gets [`RoiOptions::marker_px`], but not beyond
-/// [`RoiOptions::magnification_max`], and not beyond what lets the field fit the largest view, as
-/// long as markers get [`RoiOptions::marker_least_px`] and the sphere's own resolution: of a wide
-/// field in which nothing decodes nobody has anything, so it is cut instead, round where the neighbour
-/// is most likely. A view of a close neighbour, whose markers are large enough anyway, is taken at
-/// less than the sphere's resolution.
+/// It is magnified until the smallest marker gets `MARKER_PX`, but not beyond
+/// `MAGNIFICATION_MAX`, and not beyond what lets the field fit the largest view, as
+/// long as markers get `MARKER_LEAST_PX` and the sphere's own resolution: of a wide
+/// field in which nothing decodes nobody has anything, so it is cut instead, round where the
+/// neighbour is most likely. A view of a close neighbour, whose markers are large enough anyway, is
+/// taken at less than the sphere's resolution.
 ///
 /// `None` for a prediction that is not a number.
-pub fn roi_view(neighbour: &PredictedNeighbour, options: &RoiOptions) -> Option<PlannedView> {
-    let wanted_rad =
-        2.0 * (neighbour.radius_rad + options.margin_deviations * neighbour.deviation_rad);
+pub fn roi_view(neighbour: &PredictedNeighbour, pixels_per_radian: f64) -> Option<SearchView> {
+    let wanted_rad = 2.0 * (neighbour.radius_rad + MARGIN_DEVIATIONS * neighbour.deviation_rad);
     let finite = wanted_rad.is_finite()
         && neighbour.marker_rad > 0.0
         && neighbour.direction_in_camera.iter().all(|x| x.is_finite())
@@ -155,19 +127,19 @@ pub fn roi_view(neighbour: &PredictedNeighbour, options: &RoiOptions) -> Option<
     if !finite {
         return None;
     }
-    let field_rad = wanted_rad.clamp(options.field_min_rad, options.field_max_rad);
+    let field_rad = wanted_rad.clamp(FIELD_MIN_DEG.to_radians(), FIELD_MAX_DEG.to_radians());
     // Pixels across the view for each pixel of focal length.
     let span = 2.0 * (field_rad / 2.0).tan();
-    let own = options.pixels_per_radian;
-    let most = own * options.magnification_max;
-    let wanted_at = options.marker_px / neighbour.marker_rad;
-    let least = (options.marker_least_px / neighbour.marker_rad).clamp(own, most).min(wanted_at);
-    let fits_at = f64::from(options.size_max_px) / span;
+    let own = pixels_per_radian;
+    let most = own * MAGNIFICATION_MAX;
+    let wanted_at = MARKER_PX / neighbour.marker_rad;
+    let least = (MARKER_LEAST_PX / neighbour.marker_rad).clamp(own, most).min(wanted_at);
+    let fits_at = f64::from(ROI_SIZE_MAX_PX) / span;
     let focal_px = wanted_at.clamp(own, most).min(fits_at).max(least);
-    // f64 to u32 saturates, so an absurd option cannot wrap round.
-    let size_px = ((focal_px * span).ceil() as u32).clamp(1, options.size_max_px);
+    // f64 to u32 saturates, so an absurd prediction cannot wrap round.
+    let size_px = ((focal_px * span).ceil() as u32).clamp(1, ROI_SIZE_MAX_PX);
     let upright = View::looking_at(&neighbour.direction_in_camera, field_rad, size_px);
-    Some(PlannedView {
+    Some(SearchView {
         view: View { focal_px, ..upright },
         purpose: Purpose::Roi(neighbour.target),
         search: Search::AllWindows,

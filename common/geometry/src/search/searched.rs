@@ -6,8 +6,8 @@ use serde::{Deserialize, Serialize};
 
 use super::{Purpose, Search};
 
-/// When each tile and each target's region of interest was searched last, and which tile had the last
-/// hit.
+/// When each tile and each target's region of interest was searched last, and which tile had the
+/// last hit.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Searched {
     partitions: Vec<LastSearch>,

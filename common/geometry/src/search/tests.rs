@@ -57,7 +57,8 @@ fn algorithm_1_begins_where_the_last_detection_was() {
         assert_eq!(all, greedy(&partition));
         // Five neighbours, five beyond them, the opposite one; each group by number.
         assert!(order[1..6].is_sorted() && order[6..11].is_sorted());
-        let distance = |k: usize| partition.distance_rad(n, order[k]).unwrap();
+        let directions = partition.directions();
+        let distance = |k: usize| directions[n].angle(&directions[order[k]]);
         assert!(distance(5) + 0.1 < distance(6) && distance(10) + 0.1 < distance(11));
     }
     assert_eq!(optimized(&partition, Some(12)), greedy(&partition));
@@ -171,12 +172,12 @@ fn high_resolution_tiles_that_the_mask_hides_are_not_planned() {
     let mask = Mask::new(camera, [64, 32], seen).unwrap();
     let planner = fine_planner(4).with_mask(mask.clone());
     let plan = planner.plan(&planner.nothing_searched(), &[]);
-    let is_fine = |planned: &&PlannedView| matches!(planned.purpose, Purpose::HighResolution(_));
+    let is_fine = |planned: &&SearchView| matches!(planned.purpose, Purpose::HighResolution(_));
     let fine = plan.views.iter().filter(is_fine).count();
     assert!((14..28).contains(&fine), "{fine}");
     assert_eq!(plan.views.len() - fine, 12 - planner.hidden_partitions());
     // Whichever is given first.
-    let tiles = fine_planner(4).high_resolution.iter().map(|tile| tile.view).collect();
+    let tiles = fine_planner(4).high_resolution.into_iter().flatten().collect();
     let other = self::planner(SearchMode::Roi, planner.roi).with_mask(mask);
     assert_eq!(other.with_high_resolution_tiles(tiles), planner);
 }
@@ -251,7 +252,6 @@ proptest! {
         deviation in 0.0..0.2f64,
         (x, y, z) in (-1.0..1.0f64, -1.0..1.0f64, 0.1..1.0f64),
     ) {
-        let options = RoiOptions::new(RESOLUTION);
         let body = squares("alpha", 0.0625, 0.05, 0);
         let position = Vector3::new(x, y, z).normalize() * range;
         let pose = Isometry3::from_parts(position.into(), UnitQuaternion::identity());
@@ -259,7 +259,7 @@ proptest! {
         let predicted =
             PredictedNeighbour::from_pose(3, &body, &pose, &covariance, &Vector3::zeros()).unwrap();
         prop_assert!((predicted.deviation_rad - deviation).abs() < 1e-9);
-        let view = roi_view(&predicted, &options).unwrap().view;
+        let view = roi_view(&predicted, RESOLUTION).unwrap().view;
         prop_assert!(view.direction_in_camera().angle(&Unit::new_normalize(position)) < 1e-6);
         prop_assert!(view.size_px <= 640);
         let magnification = view.focal_px / RESOLUTION;
@@ -268,8 +268,8 @@ proptest! {
         prop_assert!(magnification > 1.0 - 1e-9 || marker_px > 80.0 - 1e-9);
         let wanted = 2.0 * (predicted.radius_rad + 3.0 * predicted.deviation_rad);
         let shown = view.field_rad();
-        // Cut only where it must be: at 70 degrees, or at 640 pixels that are not magnified, or only
-        // as much as decoding needs.
+        // Cut only where it must be: at 70 degrees, or at 640 pixels that are not magnified, or
+        // only as much as decoding needs.
         let is_needed = magnification <= 1.0 + 1e-9 || marker_px <= 24.0 + 1e-9;
         let is_cut = wanted > 70f64.to_radians() || (view.size_px == 640 && is_needed);
         prop_assert!(marker_px > 24.0 - 1e-9 || magnification > 3.0 - 1e-9, "{marker_px}");
@@ -304,10 +304,10 @@ fn predictions_that_are_none_give_no_view() {
         let pose = Isometry3::translation(range, 0.0, 0.0);
         assert_eq!(PredictedNeighbour::from_pose(0, &body, &pose, &covariance, &still), None);
     }
-    let options = RoiOptions::new(RESOLUTION);
     let broken = PredictedNeighbour { deviation_rad: f64::NAN, ..neighbour(0) };
-    assert_eq!(roi_view(&broken, &options), None);
-    let plan = planner(SearchMode::Roi, options).plan(&Searched::new(12, 0), &[broken]);
+    assert_eq!(roi_view(&broken, RESOLUTION), None);
+    let plan = planner(SearchMode::Roi, RoiOptions::new(RESOLUTION))
+        .plan(&Searched::new(12, 0), &[broken]);
     assert_eq!((plan.views.len(), plan.view_budget), (12, 2));
 }
 
@@ -324,9 +324,8 @@ fn options_out_of_range_are_named() {
     };
     for (roi, name) in [
         (RoiOptions { partitions_per_frame: 0, ..good }, "partitions_per_frame"),
-        (RoiOptions { field_max_rad: 0.01, ..good }, "field_max_rad"),
-        (RoiOptions { marker_px: f64::NAN, ..good }, "marker_px"),
-        (RoiOptions { marker_least_px: 100.0, ..good }, "marker_least_px"),
+        (RoiOptions::new(f64::NAN), "pixels_per_radian"),
+        (RoiOptions::new(0.5), "pixels_per_radian"),
     ] {
         assert!(with(roi).unwrap_err().to_string().contains(name));
     }
@@ -341,7 +340,7 @@ fn proposals_come_before_the_tiles_while_a_target_is_not_tracked() {
     let kinds = |tracked: usize| -> String {
         let neighbours: Vec<PredictedNeighbour> = (0..tracked).map(neighbour).collect();
         let plan = planner.plan(&searched, &neighbours);
-        let letter = |planned: &PlannedView| match planned.purpose {
+        let letter = |planned: &SearchView| match planned.purpose {
             Purpose::Roi(_) => 'g',
             Purpose::Proposal => 'p',
             Purpose::Partition(_) | Purpose::HighResolution(_) => 't',
@@ -360,7 +359,7 @@ fn an_exhaustive_search_has_its_proposals_behind_all_tiles() {
     let planner = planner.with_proposals(2, 3);
     let plan = planner.plan(&planner.nothing_searched(), &[]);
     assert_eq!((plan.views.len(), plan.view_budget, plan.stop_rule), (15, 15, StopRule::All));
-    let is_proposal = |view: &PlannedView| view.purpose == Purpose::Proposal;
+    let is_proposal = |view: &SearchView| view.purpose == Purpose::Proposal;
     assert!(plan.views[12..].iter().all(is_proposal) && !plan.views[..12].iter().any(is_proposal));
 }
 

@@ -1,6 +1,6 @@
 //! What an alignment is asked for and what it returns.
 
-use nalgebra::{Isometry3, Matrix2, Matrix6};
+use nalgebra::{Isometry3, Matrix6};
 
 use super::evidence::Evidence;
 
@@ -9,7 +9,7 @@ use super::evidence::Evidence;
 pub struct AlignOptions {
     /// Expected standard deviation of the lens's point spread, pixels of the sphere image.
     pub blur_px: f64,
-    /// Pixels of the patch across a body at most. A body that is nearer is seen at a coarser resolution.
+    /// Pixels of the patch across a body at most: nearer ones are seen at a coarser resolution.
     pub max_body_px: f64,
     /// Gauss-Newton steps at most.
     pub max_iterations: usize,
@@ -17,30 +17,14 @@ pub struct AlignOptions {
     pub coarse_first: bool,
     /// Factor on the covariance, for errors that the pixels do not show: of lens and body.
     pub covariance_scale: f64,
-    /// How the pictures are coded.
-    pub coding: Coding,
+    /// Factor on it for the coding: 1 for single pictures, or [`VIDEO_COVARIANCE_SCALE`].
+    pub coding_covariance_scale: f64,
 }
 
-/// How pictures are coded.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum Coding {
-    /// Each by itself: raw, or as a JPEG.
-    #[default]
-    Images,
-    /// From the pictures before: H.264, H.265.
-    Video,
-}
-
-impl Coding {
-    /// Factor on the covariance for errors that residuals do not show. A copied block is sharp, but may be shifted by a
-    /// fraction of a pixel. By how much is read from a recording; others ask for less (docs/results/codings.md).
-    pub fn covariance_factor(self) -> f64 {
-        match self {
-            Self::Images => 1.0,
-            Self::Video => 3.1,
-        }
-    }
-}
+/// Factor on the covariance in video, for errors that residuals do not show. A copied block is
+/// sharp, but may be shifted by a fraction of a pixel. By how much is read from a recording; others
+/// ask for less (docs/results/codings.md).
+pub const VIDEO_COVARIANCE_SCALE: f64 = 3.1;
 
 impl Default for AlignOptions {
     fn default() -> Self {
@@ -50,7 +34,7 @@ impl Default for AlignOptions {
             max_iterations: 8,
             coarse_first: false,
             covariance_scale: 1.0,
-            coding: Coding::default(),
+            coding_covariance_scale: 1.0,
         }
     }
 }
@@ -62,23 +46,17 @@ pub struct Alignment {
     pub camera_from_markers: Isometry3<f64>,
     /// Its covariance: position (m), then rotation vector (rad), in the camera frame's axes.
     pub covariance: Matrix6<f64>,
-    /// Whether the pose is of use by itself, see [`is_precise`](super::is_precise). The factor of [`Coding`] is left out:
-    /// video scatters poses, and none was false in the flights of docs/results/codings.md.
+    /// Whether the pose is of use by itself, see [`is_precise`](super::is_precise).
+    /// [`VIDEO_COVARIANCE_SCALE`] is left out: video scatters poses, and none was false in the
+    /// flights of docs/results/codings.md.
     pub is_precise: bool,
-    /// Covariance of the point spread, pixels of the sphere image squared, fitted with uniform radiance on
-    /// each facet.
-    pub blur_px2: Matrix2<f64>,
-    /// By how much the point spread's variance along the apparent motion exceeds that across it, pixels of
-    /// the sphere image squared; `None` where the motion is not known. It shows how long the exposure was.
+    /// Variance of the point spread along the apparent motion, less that across it, pixels of the
+    /// sphere image squared. `None` without a known motion. It shows how long the exposure was.
     pub stretch_px2: Option<f64>,
     /// How well the cells agree with the image, with uniform radiance on each facet.
     pub evidence: Evidence,
     /// The share of the samples for which no occlusion was found.
     pub visible_share: f64,
-    /// Number of pixels that were fitted.
-    pub samples: usize,
-    /// Number of Gauss-Newton steps.
-    pub iterations: usize,
 }
 
 /// Why nothing was aligned.

@@ -1,85 +1,72 @@
 //! The covariance of a fitted pose.
 //!
-//! The inverse normal matrix is the covariance if the pixels' errors are independent and normal, which
-//! they are not. It is multiplied by four corrections:
+//! The inverse normal matrix is the covariance if the pixels' errors are independent and normal,
+//! which they are not. It is multiplied by four corrections:
 //!
 //! 1. **Robust weights** ([`MEstimator`]): the variance of an M-estimator with Cauchy's weights.
-//! 2. **Residual correlation** ([`residual_correlation`]). Views are interpolated, sensors and codecs
-//!    smooth, and errors of the model (a fold, a shadow, the soft edge of an arm) extend over several
-//!    pixels. The measured correlation would multiply the covariance if the errors were alike everywhere.
-//!    They are not: they lie along an arm's edge or over one facet, and move the pose less. On 150
-//!    simulated flights, NEES fell with the correlation's power 0.64 (position) and 0.92 (rotation) where
-//!    the whole correlation was taken. So only its power [`CORRELATION_EXPONENT`] is taken, times
-//!    [`CORRELATION_FACTOR`].
+//! 2. **Residual correlation** ([`residual_correlation`]). Views are interpolated, sensors and
+//!    codecs smooth, and errors of the model extend over several pixels. The correlation itself
+//!    would be the factor if the errors were alike everywhere. But they lie along an arm's edge or
+//!    over one facet, and move the pose less. So only its power [`CORRELATION_EXPONENT`] is taken,
+//!    times [`CORRELATION_FACTOR`].
 //! 3. **Degrees of freedom**: residuals are smaller than the noise by what the unknowns absorb.
-//! 4. **Wandering**. The normal matrix describes the sum of squares near its minimum as a parabola, and there a fit needs
-//!    two or three steps. Where half a body is hidden or little of it is seen, a fit may wander through a flat valley
-//!    until its steps are used up. Then the pose is less certain than the parabola says ([`WANDERING`]).
+//! 4. **Wandering**. Where little of a body is seen, a fit may wander through a flat valley. Then the
+//!    pose is less certain than the parabola of the normal matrix says ([`WANDERING`]).
 //!
-//! A cluster-robust covariance, which estimates the correlation for each unknown, has only a few dozen
-//! blocks to estimate it from. It was too small by a factor of two.
+//! A cluster-robust covariance, which estimates the correlation for each unknown, has only a few
+//! dozen blocks to estimate it from. It was too small by a factor of two.
 //!
-//! The residuals are those before the last step. What that step explains of their squares is taken off.
+//! The residuals are those before the last step, less what that step explains.
 
 use nalgebra::{Cholesky, DMatrix, Dyn, Matrix6};
 
+use super::normal_equations::SampleSet;
 use super::patch::Patch;
-use super::robust::{Influence, MEstimator, residual_correlation};
-use super::samples::Sample;
+use super::robust::{MEstimator, residual_correlation};
 
 /// The covariance is multiplied by this and by the residual correlation to the power of
 /// [`CORRELATION_EXPONENT`]. Both were chosen by NEES on simulated flights, seeds 1001 to 1150.
 const CORRELATION_FACTOR: f64 = 1.43;
 /// See [`CORRELATION_FACTOR`].
 const CORRELATION_EXPONENT: f64 = 0.25;
-/// The covariance is multiplied by 1 + (this times how far the fit wandered, in its own standard deviations)².
+/// The covariance is multiplied by 1 + (this times how far the fit wandered, in its own standard
+/// deviations)².
 ///
-/// Read from 18,686 poses at 1.6 to 4 m (seeds 9101 to 9114). NEES without it grew from 1.0 where a fit hardly wandered to 5
-/// and more. With it NEES is 0.8 to 1.2 everywhere (docs/results/constants.md#precision).
+/// Read from 18,686 poses at 1.6 to 4 m (docs/results/constants.md#precision): without it NEES grew
+/// from 1.0 to 5 where a fit wandered; with it NEES is 0.8 to 1.2 everywhere.
 const WANDERING: f64 = 0.15;
 /// Least share of the independent samples that counts as degrees of freedom.
 const MIN_FREE_SHARE: f64 = 0.5;
 /// Least share of the residuals' squares that is left after the last step.
 const MIN_UNEXPLAINED_SHARE: f64 = 0.5;
 
-/// A solved system of normal equations and the residuals that it was made of.
-pub(super) struct Solved<'s> {
-    /// The normal matrix, factored.
-    pub normal: &'s Cholesky<f64, Dyn>,
-    /// The part of the normal matrix that comes from samples, not from priors.
-    pub from_samples: &'s DMatrix<f64>,
-    /// How much of the weighted squares of the residuals, in standard deviations, the last step explains,
-    /// priors included.
-    pub explained: f64,
-    /// How far the pose moved after its first steps, the sum of all steps, in standard deviations of the inverse normal
-    /// matrix.
-    pub wandered: f64,
-    /// The residuals, one for each sample; `None` where a sample says nothing.
-    pub residuals: &'s [Option<f32>],
-    /// Residual sigma of each facet.
-    pub sigmas: &'s [f64],
-}
-
-/// Covariance of the pose in the patch's axes: position (m), then rotation vector (rad). `None` where
-/// most residuals are outliers, or the result is not finite.
-pub(super) fn of_pose(
-    solved: &Solved<'_>,
+/// Covariance of the pose in the patch's axes: position (m), then rotation vector (rad). `None`
+/// where most residuals are outliers, or the result is not finite.
+///
+/// `residuals` are those of the set's samples, `None` where a sample says nothing. `normal` is the
+/// normal matrix, factored, and `from_samples` its part that comes from samples, not from priors.
+/// `explained` is how much of the residuals' weighted squares, in standard deviations, the last
+/// step explains, priors included. `wandered` is how far the pose moved after its first steps, the
+/// sum of all steps, in standard deviations of the inverse normal matrix.
+pub(super) fn pose_covariance(
+    set: &SampleSet,
     patch: &Patch,
-    samples: &[Sample],
+    residuals: &[Option<f32>],
+    normal: &Cholesky<f64, Dyn>,
+    from_samples: &DMatrix<f64>,
+    explained: f64,
+    wandered: f64,
 ) -> Option<Matrix6<f64>> {
-    let Solved { normal, from_samples, explained, wandered, residuals, sigmas } = *solved;
     let inverse = normal.inverse();
     let mut estimator = MEstimator::default();
-    let influences: Vec<Influence> = samples
+    let influences: Vec<(usize, f32)> = set
+        .samples
         .iter()
         .zip(residuals)
         .filter_map(|(sample, &residual)| {
-            let in_sigmas = f64::from(residual?) / sigmas[usize::from(sample.facet)];
-            Some(Influence {
-                x: usize::from(sample.x),
-                y: usize::from(sample.y),
-                sigmas: estimator.add(in_sigmas) as f32,
-            })
+            let in_sigmas = f64::from(residual?) / set.sigmas[usize::from(sample.facet)];
+            let place = usize::from(sample.y) * patch.width + usize::from(sample.x);
+            Some((place, estimator.add(in_sigmas) as f32))
         })
         .collect();
     let correlation = residual_correlation(patch.width, patch.height, &influences);

@@ -3,7 +3,7 @@
 use nalgebra::{Isometry3, Vector2};
 
 use super::alignment::{AlignError, AlignOptions};
-use super::evidence::{Comparison, Evidence};
+use super::evidence::{Evidence, compare};
 use super::model::Scene;
 use super::patch::{Patch, Picture};
 use super::print::BodyPrint;
@@ -31,8 +31,8 @@ pub struct Depiction {
 }
 
 impl Depiction {
-    /// Picture, model and residual side by side, as code values: rows of three times `width` values. The residual is
-    /// grey where both agree.
+    /// Picture, model and residual side by side, as code values: rows of three times `width`
+    /// values. The residual is grey where both agree.
     pub fn panels(&self, light: &LinearLight) -> Vec<u8> {
         let code = |radiance: f32| light.code_of(f64::from(radiance)).clamp(0.0, 255.0);
         let row = |row: usize| {
@@ -49,11 +49,7 @@ impl Depiction {
     }
 }
 
-/// Draws `print` at the pose `camera_from_markers` beside `picture`. Nothing but the facets' white and black
-/// levels is fitted.
-///
-/// # Errors
-/// [`AlignError`]: nothing to compare there, or input that is not finite.
+/// Draws `print` at a pose beside `picture`. Only the facets' white and black levels are fitted.
 pub fn depict(
     print: &BodyPrint,
     picture: &Picture<'_>,
@@ -62,29 +58,24 @@ pub fn depict(
 ) -> Result<Depiction, AlignError> {
     let view = PreparedView::new(print, picture, camera_from_markers, options, 0.0)?;
     let mut state = view.state(print, camera_from_markers);
-    let PreparedView { patch, settings } = view;
-    let samples =
-        solve::fit_levels_alone(&patch, print, &mut state, &settings).ok_or(AlignError::Nothing)?;
-    let per_pixel = settings.prior.samples_per_pixel();
-    let compared = Comparison::new(&patch, print, &state, &samples, per_pixel);
+    let PreparedView { patch, prior } = view;
+    let samples = solve::fit_levels_alone(&patch, print, &mut state).ok_or(AlignError::Nothing)?;
+    let (evidence, _) = compare(&patch, print, &state, &samples, prior.samples_per_pixel());
     let model = draw(&patch, print, &state);
-    let Comparison { evidence, .. } = compared;
     let Patch { width, height, radiance, .. } = patch;
     Ok(Depiction { width, height, picture: radiance, model, evidence })
 }
 
 /// The patch with the body drawn over it.
 fn draw(patch: &Patch, print: &BodyPrint, state: &State) -> Vec<f32> {
-    let scene = Scene::new(print, state, patch, 0.0);
+    let scene = Scene::new(print, state, patch);
     let margin_px = blur_margin_px(&state.blur);
     let mut model = patch.radiance.clone();
     for index in 0..print.facets.len() {
         let Some((visible, blurred)) = scene.facet(index) else { continue };
         let [white, black] = state.levels[index];
         let bounds = |axis: usize, size: usize| {
-            let along = visible.outline_px.iter().map(|corner| corner[axis]);
-            let (low, high) =
-                along.fold((f64::MAX, f64::MIN), |(low, high), at| (low.min(at), high.max(at)));
+            let (low, high) = visible.span_px(axis);
             let end = (high + margin_px).ceil().max(0.0) as usize;
             (low - margin_px).floor().max(0.0) as usize..end.saturating_add(1).min(size)
         };

@@ -1,20 +1,23 @@
 //! What the image says about whether an aligned body is there: facts, no decisions.
 //!
-//! All markers have a white margin and a black border, so a wrong body that is aligned with the right
-//! one's borders correlates with 0.7 of the image. Only the cells within the border tell markers apart.
-//! So margin, border and the mean of the cells are regressed out, and what is left of the image is
-//! correlated with what is left of the cells' pattern, facet by facet. This is a partial correlation.
+//! All markers have a white margin and a black border, so a wrong body that is aligned with the
+//! right one's borders correlates with 0.7 of the image. Only the cells within the border tell
+//! markers apart. So margin, border and the mean of the cells are regressed out, and what is left
+//! of the image is correlated with what is left of the cells' pattern, facet by facet. This is a
+//! partial correlation.
 //!
 //! # Log odds
 //!
-//! Two explanations compete for each facet. With the body there, its radiance is that of white paper, less what print
-//! takes from it. Something else may have any margin, border and mean, and the rest is noise. Both leave residuals of
-//! unknown variance, so with n independent values the log of their likelihood ratio is n/2 ln(q), with q the ratio of the
-//! sums of squares. A facet may also be hidden, and says nothing then: so one whose pattern the picture does not show
-//! counts against the body, but not without limit.
+//! Two explanations compete for each facet. With the body there, its radiance is that of white
+//! paper, less what print takes from it. Something else may have any margin, border and mean, and
+//! the rest is noise. Both leave residuals of unknown variance, so with n independent values the
+//! log of their likelihood ratio is n/2 ln(q), with q the ratio of the sums of squares. A facet may
+//! also be hidden, and says nothing then: so one whose pattern the picture does not show counts
+//! against the body, but not without limit.
 //!
-//! A marker has as many values as cells, and they are not independent: textures are smooth, and alignment has chosen the
-//! pose that fits best. How many count was read from a curve ([`INDEPENDENT_SHARE`]).
+//! A marker has as many values as cells, and they are not independent: textures are smooth, and
+//! alignment has chosen the pose that fits best. How many count was read from a curve
+//! ([`INDEPENDENT_SHARE`]).
 
 use nalgebra::{Matrix5, Vector5};
 
@@ -24,36 +27,37 @@ use super::print::{BodyPrint, PrintedFacet};
 use super::samples::Sample;
 use super::state::State;
 
-/// Least coverage of a pixel by its facet, to be compared: two standard deviations of the point spread inside its edges.
+/// Least coverage of a compared pixel by its facet: two blurs inside its edges.
 const MIN_COVERAGE: f32 = 0.977;
 /// Least pattern that blur must leave of the cells, variance per pixel, black being 1.
 const MIN_PATTERN: f64 = 1e-3;
 
-/// Least share of white paper's radiance that print takes from it. Black print reflects a twentieth of the light, and a
-/// veil of stray light or a wrong tone curve may add several times as much.
+/// Least share of white paper's radiance that print takes from it. Black print reflects a twentieth
+/// of the light, and a veil of stray light or a wrong tone curve may add several times as much.
 const MIN_PRINT_CONTRAST: f64 = 0.5;
 /// Black print reflects no less than nothing, but a fit may say so.
 const MAX_PRINT_CONTRAST: f64 = 1.1;
-/// Standard deviation of what even a right model leaves, share of white: light changes along a facet.
+/// What even a right model leaves, share of white: light changes along a facet.
 const MODEL_ERROR: f64 = 0.03;
 /// Prior probability that a facet of a body is hidden, so that its pixels say nothing.
 const HIDDEN: f64 = 0.1;
 /// Independent values for each cell of a marker.
 ///
-/// Read from where bodies are not (docs/results/constants.md#evidence): of 17,203 poses that alignment found there, the number
-/// above x fell by e for each 5.3 of the log odds with one value for each cell. With this share it falls as e^-x.
+/// Read from where bodies are not (docs/results/constants.md#evidence): of 17,203 poses that
+/// alignment found there, the number above x fell by e for each 5.3 of the log odds with one value
+/// for each cell. With this share it falls as e^-x.
 const INDEPENDENT_SHARE: f64 = 0.19;
 
 /// How well the cells of the facets that face the camera agree with the image.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Evidence {
-    /// Mean normalized correlation of the cells with the image over the facets, weighted by how much of
-    /// the cells' pattern each facet shows.
+    /// Mean normalized correlation of the cells with the image over the facets, weighted by how
+    /// much of the cells' pattern each facet shows.
     pub correlation: f64,
-    /// Log of the likelihood ratio of the body being there against something else, summed over the facets.
+    /// Log of the likelihood ratio of the body against something else, summed over facets.
     pub log_odds: f64,
-    /// The part of it that the facets beside the most informative one have. Two poses that are mirror images by that
-    /// facet differ in this.
+    /// The part of it that the facets beside the most informative one have. Two poses that are
+    /// mirror images by that facet differ in this.
     pub log_odds_of_others: f64,
     /// Number of facets that agree: whose log odds are positive.
     pub agreeing_facets: u32,
@@ -90,17 +94,8 @@ struct FacetFit {
     correlation: f64,
     /// How much of the cells' pattern the facet shows: its sum of squares.
     pattern: f64,
-    /// Log of the likelihood ratio of the facet being there, and not hidden, against something else.
+    /// Log of the likelihood ratio of the visible facet against something else.
     log_odds: f64,
-}
-
-/// The pixels of a facet.
-#[derive(Default, Clone)]
-struct FacetPixels {
-    /// Pixels that show nothing else.
-    inside: Products,
-    /// Pixels that show hardly anything else, the former included.
-    covered: Products,
 }
 
 /// Sums over pixels of the products of 1, border, inside, cells and radiance with each other.
@@ -110,66 +105,56 @@ struct Products {
     count: u32,
 }
 
-/// The evidence at a state.
-#[derive(Debug)]
-pub(super) struct Comparison {
-    pub evidence: Evidence,
-    /// Whether something else than the print explains the pixels of each facet better, of those that show nothing else.
-    /// Occlusion is judged by these. When a correlation decided, the soft edges of a post moved bodies at 2 m by 1.3 mm on
-    /// average with all pixels, and by 1.1 mm with these.
-    pub disagrees: Vec<bool>,
-}
-
-impl Comparison {
-    /// Compares a state with `samples` of all facets; `samples_per_pixel` of them carry the information
-    /// of one.
-    pub fn new(
-        patch: &Patch,
-        print: &BodyPrint,
-        state: &State,
-        samples: &[Sample],
-        samples_per_pixel: f64,
-    ) -> Self {
-        let scene = Scene::new(print, state, patch, 0.0);
-        let mut facets = vec![FacetPixels::default(); print.facets.len()];
-        for sample in samples {
-            let index = usize::from(sample.facet);
-            if print.facets[index].cells.is_none() {
-                continue;
-            }
-            let Some((visible, blurred)) = scene.facet(index) else { continue };
-            let at = visible.point(&sample.direction(patch));
-            let is_inside = sample.is_inside();
-            if !is_inside && blurred.coverage(at).value < MIN_COVERAGE {
-                continue;
-            }
-            let parts = blurred.parts(at);
-            let [black, square, inside] = [parts.black, parts.square, parts.inside].map(f64::from);
-            let levels = state.levels[index];
-            let [black, border] =
-                [black, square - inside].map(|black| seen_black(black, levels, patch.saturation));
-            // Black lowers the radiance.
-            let darkness = -f64::from(sample.radiance);
-            let row = Vector5::new(1.0, border, inside, black - border, darkness);
-            let products = row * row.transpose();
-            facets[index].covered.add(&products);
-            if is_inside {
-                facets[index].inside.add(&products);
-            }
+/// Compares a state with `samples` of all facets, of which `samples_per_pixel` count as one.
+///
+/// Returns the evidence, and of each facet whether something else explains it better, by pixels
+/// that show nothing else. Occlusion is judged by these: an occluder's soft edge moves bodies less.
+pub(super) fn compare(
+    patch: &Patch,
+    print: &BodyPrint,
+    state: &State,
+    samples: &[Sample],
+    samples_per_pixel: f64,
+) -> (Evidence, Vec<bool>) {
+    let scene = Scene::new(print, state, patch);
+    // Pixels that show hardly anything but the facet, and those that show nothing else.
+    let mut covered = vec![Products::default(); print.facets.len()];
+    let mut inside = covered.clone();
+    for sample in samples {
+        let index = usize::from(sample.facet);
+        if print.facets[index].cells.is_none() {
+            continue;
         }
-        let facets = facets.iter().zip(&print.facets);
-        let (fits, disagrees): (Vec<_>, Vec<_>) = facets
-            .map(|(FacetPixels { inside, covered }, printed)| {
-                let fit = |pixels: &Products| pixels.fit(printed, samples_per_pixel);
-                (fit(covered), fit(inside).is_some_and(|fit| fit.log_odds < 0.0))
-            })
-            .unzip();
-        Self { evidence: Evidence::of_facets(&fits), disagrees }
+        let Some((visible, blurred)) = scene.facet(index) else { continue };
+        let at = visible.point(&sample.direction(patch));
+        let is_inside = sample.is_inside();
+        if !is_inside && blurred.coverage(at).value < MIN_COVERAGE {
+            continue;
+        }
+        let black = f64::from(blurred.black(at).value);
+        let [square, inner] = blurred.squares(at).map(f64::from);
+        let levels = state.levels[index];
+        let [black, border] =
+            [black, square - inner].map(|black| seen_black(black, levels, patch.saturation));
+        // Black lowers the radiance.
+        let darkness = -f64::from(sample.radiance);
+        let row = Vector5::new(1.0, border, inner, black - border, darkness);
+        let products = row * row.transpose();
+        covered[index].add(&products);
+        if is_inside {
+            inside[index].add(&products);
+        }
     }
+    let fit =
+        |(pixels, printed): (&Products, &PrintedFacet)| pixels.fit(printed, samples_per_pixel);
+    let fits: Vec<_> = covered.iter().zip(&print.facets).map(fit).collect();
+    let disagrees = |fit: Option<FacetFit>| fit.is_some_and(|fit| fit.log_odds < 0.0);
+    let disagreeing = inside.iter().zip(&print.facets).map(fit).map(disagrees).collect();
+    (Evidence::of_facets(&fits), disagreeing)
 }
 
-/// How black a pixel seems of which the share `black` is, where white paper with this level saturates the sensor: white has
-/// grown over the edges of what is black.
+/// How black a pixel seems of which the share `black` is, where white paper with this level
+/// saturates the sensor: white has grown over the edges of what is black.
 fn seen_black(black: f64, [white_level, black_level]: [f64; 2], saturation: f64) -> f64 {
     if white_level <= saturation || black_level >= saturation {
         return black;
@@ -184,8 +169,8 @@ impl Products {
         self.count += 1;
     }
 
-    /// How well the print explains these pixels of a facet. `None` where they are too few, the blur leaves nothing of the
-    /// pattern, or the radiance is nowhere above 0.
+    /// How well the print explains these pixels of a facet. `None` where they are too few, the blur
+    /// leaves nothing of the pattern, or the radiance is nowhere above 0.
     fn fit(&self, printed: &PrintedFacet, samples_per_pixel: f64) -> Option<FacetFit> {
         // So few are explained by anything.
         if self.count as usize <= self.matrix.nrows() {
@@ -206,8 +191,7 @@ impl Products {
         })
     }
 
-    /// The Schur complement of margin, border and the mean of the cells: they are regressed out, one column after the
-    /// other.
+    /// The Schur complement of margin, border and the cells' mean, which are regressed out.
     fn without_border(&self) -> Matrix5<f64> {
         let mut left: Matrix5<f64> = self.matrix;
         for k in 0..3 {
@@ -221,15 +205,15 @@ impl Products {
         left
     }
 
-    /// Log of the likelihood ratio of the print against something else with the same border and mean, of which so many
-    /// values are independent, and which leaves this sum of squares unexplained.
+    /// Log of the likelihood ratio of the print against something else with the same border and
+    /// mean. So many values are `independent`; something else leaves the squares `unexplained`.
     ///
-    /// Both leave residuals of unknown variance, so the ratio is that of their sums of squares. `None` where the radiance
-    /// is nowhere above 0.
+    /// Both leave residuals of unknown variance, so the ratio is that of their sums of squares.
+    /// `None` where the radiance is nowhere above 0.
     fn log_odds(&self, independent: f64, unexplained: f64) -> Option<f64> {
         let count = f64::from(self.count);
         let m = &self.matrix;
-        // Radiance is white (1 - contrast black); sums of squares and products of black with radiance.
+        // Radiance is white (1 - contrast black). Sums over black and radiance.
         let black = m[(0, 1)] + m[(0, 3)];
         let black_square = m[(1, 1)] + 2.0 * m[(1, 3)] + m[(3, 3)];
         let radiance = -m[(0, 4)];

@@ -11,11 +11,11 @@ use super::state::{BLACK_SHARE_PRIOR, COMMON, Layout, State};
 /// Two numbers for each facet need no more samples than about this.
 const MAX_SAMPLES: usize = 1500;
 
-/// A saturated pixel that has at least this share of its radiance by the levels so far says nothing of them.
+/// A saturated pixel whose model has at least this share of its radiance says nothing.
 const SATURATED_SHARE: f64 = 0.9;
 
-/// Finds the white and black levels that explain the samples best, by linear least squares, and puts
-/// them in `state`. Returns the residual sigma of each facet.
+/// Finds the white and black levels that explain the samples best, by linear least squares, and
+/// puts them in `state`. Returns the residual sigma of each facet.
 pub(super) fn fit_levels(
     patch: &Patch,
     scene: &Scene<'_>,
@@ -59,7 +59,7 @@ struct Rows {
 impl Rows {
     fn new(patch: &Patch, scene: &Scene<'_>, samples: &[Sample], layout: &Layout) -> Option<Self> {
         // A facet has an index if it faces the camera, as the facets of `Scene::shares` do.
-        let slot = |facet: usize| Some((layout.level(facet)? - COMMON) / 2);
+        let slot = |facet: usize| Some((layout.levels[facet]? - COMMON) / 2);
         let mut shares: Vec<FacetShares> = Vec::with_capacity(samples.len());
         let mut radiances = Vec::with_capacity(samples.len());
         for sample in samples {
@@ -95,7 +95,7 @@ impl Rows {
             }
         }
         for slot in 0..self.facets {
-            // A weak prior: a facet without black cells, or hardly visible, takes the mean's levels.
+            // A weak prior for facets without black cells, or hardly visible: the mean's levels.
             for (k, level) in [(0, self.mean), (1, BLACK_SHARE_PRIOR.0 * self.mean)] {
                 normal[(2 * slot + k, 2 * slot + k)] += 1e-3;
                 right[2 * slot + k] += 1e-3 * level;

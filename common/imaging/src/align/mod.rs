@@ -1,10 +1,11 @@
 //! Aligns the whole body with the image.
 //!
-//! Corners use only the four edges of a marker. Alignment uses everything that is printed: it models the
-//! radiance of the view's pixels for a pose of the body, blurred as by the lens and by motion, and changes
-//! pose, blur and radiance of the facets until both agree (Gauss-Newton). It needs no decoded marker, only
-//! a start that is off by about half a cell at most. The idea is that of DodecaPen (Wu et al., UIST 2017),
-//! applied to bodies of flat facets. The model is in closed form, so no picture of the body is rendered.
+//! Corners use only the four edges of a marker. Alignment uses everything that is printed: it
+//! models the radiance of the view's pixels for a pose of the body, blurred as by the lens and by
+//! motion, and changes pose, blur and radiance of the facets until both agree (Gauss-Newton). It
+//! needs no decoded marker, only a start that is off by about half a cell at most. The idea is that
+//! of DodecaPen (Wu et al., UIST 2017), applied to bodies of flat facets. The model is in closed
+//! form, so no picture of the body is rendered.
 //!
 //! | module | what it answers |
 //! | --- | --- |
@@ -24,8 +25,8 @@
 //! | `reacquire` | where to start when the body is not where it was predicted |
 //! | `depiction` | the body's pixels beside those of its model, for people |
 //!
-//! Each module uses only modules above it in this order: pinhole, print, evidence and alignment types,
-//! then patch, state, model, samples, then the rest, and `mod.rs` at last. No two use each other.
+//! Each module uses only modules above it in this order: pinhole, print, evidence and alignment
+//! types, then patch, state, model, samples, then the rest, and `mod.rs` at last.
 
 mod acceptance;
 mod acquire;
@@ -46,9 +47,12 @@ mod samples;
 mod solve;
 mod state;
 
-pub use acceptance::{LeastLogOdds, is_precise, is_precise_by_corners, least_lead};
+pub use acceptance::{
+    is_precise, is_precise_by_corners, least_lead, least_log_odds_anywhere, least_log_odds_marked,
+    least_log_odds_predicted,
+};
 pub use acquire::{Place, Templates};
-pub use alignment::{AlignError, AlignOptions, Alignment, Coding};
+pub use alignment::{AlignError, AlignOptions, Alignment, VIDEO_COVARIANCE_SCALE};
 pub use depiction::{Depiction, depict};
 pub use evidence::Evidence;
 pub use patch::{Motion, Picture};
@@ -56,24 +60,23 @@ pub use print::{BodyPrint, MAX_CELLS, PrintError};
 
 use nalgebra::{Isometry3, Matrix2, Matrix6, Unit, Vector3};
 
-use evidence::Comparison;
+use evidence::compare;
 use patch::Patch;
 use samples::Sample;
-use solve::{Fit, Settings};
+use solve::BodyFit;
 use state::{Prior, State};
 
 /// [`reacquire`] finds a body up to this far from its prediction, radians.
 pub const REACQUIRE_RADIUS_RAD: f64 = 0.014;
 /// Extra blur of that search, in cells of the smallest marker.
 const REACQUIRE_BLUR_CELLS: f64 = 0.6;
-/// The patch shows this much of the background beside the body, standard deviations of the point spread.
+/// The patch shows this much background beside the body, in standard deviations of blur.
 const PATCH_MARGIN_BLURS: f64 = 4.0;
 /// The direction of the motion is that of the path in so short a time, seconds.
 const MOMENT_S: f64 = 1e-3;
 /// A motion that is slower than this, pixels of the patch in that time, has no direction.
 const MIN_MOTION_PX: f64 = 1e-3;
-/// Extra blur of the coarse fit, in cells of the smallest marker. With more it diverged, because the
-/// background bleeds in.
+/// Extra blur of the coarse fit, cells of the smallest marker. More lets the background bleed in.
 const COARSE_BLUR_CELLS: f64 = 0.45;
 const COARSE_ITERATIONS: usize = 6;
 /// Fits without the parts that turn out to be occluded, at most.
@@ -82,10 +85,9 @@ const MAX_REFITS: usize = 2;
 const COMMON_EDGE_SIGMA_PX: f64 = 0.012;
 /// The covariance is multiplied by 1 + this times the square of the occluded share.
 ///
-/// An occluder shows through the point spread along its rim, beyond the pixels that are left out. That
-/// error grows with the occluded share. On simulated flights (seeds 1001 to 1150) NEES without this factor
-/// was 5 where more than 40 % was occluded, and 2.4 where nothing was. With it NEES is 2.4 to 3.4
-/// everywhere.
+/// An occluder shows through the point spread along its rim, beyond the pixels that are left out.
+/// On simulated flights NEES without this factor was 5 where more than 40 % was occluded, and 2.4
+/// where nothing was. With it NEES is 2.4 to 3.4 everywhere.
 const OCCLUSION_RIM: f64 = 3.0;
 
 /// Aligns `print` with a picture, from the pose `start` (`camera_from_markers`).
@@ -105,11 +107,10 @@ pub fn align(
     view.align(print, start, options)
 }
 
-/// Finds `print` within [`REACQUIRE_RADIUS_RAD`] of its `predicted` pose (`camera_from_markers`), turned by
-/// up to about ten degrees.
+/// Finds `print` within [`REACQUIRE_RADIUS_RAD`] of its `predicted` pose (`camera_from_markers`),
+/// turned by up to about ten degrees.
 ///
-/// This is the most expensive search, for a body that nothing else found. `None` unless the result is
-/// accepted.
+/// This is the most expensive search. `None` unless the result is accepted.
 pub fn reacquire(
     print: &BodyPrint,
     picture: &Picture<'_>,
@@ -124,12 +125,11 @@ pub fn reacquire(
     }
     let reach_px = REACQUIRE_RADIUS_RAD * view.patch.pinhole.focal_px;
     let blurred = view.patch.blurred(extra_blur_px);
-    let candidates = reacquire::candidates(&blurred, print, &state, extra_blur_px, reach_px);
+    let candidates = reacquire::candidates(&blurred, print, &state, reach_px);
     let options = AlignOptions { coarse_first: true, ..*options };
     candidates
         .into_iter()
-        .filter_map(|candidate| {
-            let patch_from_markers = candidate.patch_from_markers;
+        .filter_map(|patch_from_markers| {
             let start = State { patch_from_markers, ..state.clone() };
             view.align(print, start, &options)
                 .ok()
@@ -138,10 +138,10 @@ pub fn reacquire(
         .max_by(|a, b| a.evidence.log_odds.total_cmp(&b.evidence.log_odds))
 }
 
-/// Poses (`camera_from_markers`) from which alignment may find `print` at a `place`, in any attitude: the likeliest
-/// of each kind of template first. `templates` are those of the print.
+/// Poses (`camera_from_markers`) from which alignment may find `print` at a `place`, in any
+/// attitude: the likeliest of each kind of template first. `templates` are those of the print.
 ///
-/// They are as rough as what [`AlignOptions::coarse_first`] is for. None where the picture does not show the place.
+/// They need [`AlignOptions::coarse_first`]. None where the picture does not show the place.
 pub fn starts_at(
     print: &BodyPrint,
     templates: &Templates,
@@ -156,9 +156,9 @@ pub fn starts_at(
     let Ok(view) = PreparedView::new(print, picture, &start, options, margin_rad) else {
         return Vec::new();
     };
-    let PreparedView { patch, settings } = view;
+    let PreparedView { patch, prior } = view;
     let middle = patch.view_from_camera * direction_in_camera;
-    let lens_px = settings.prior.blur[(0, 0)].sqrt();
+    let lens_px = prior.blur[(0, 0)].sqrt();
     let camera_from_patch = patch.view_from_camera.inverse();
     let starts = acquire::starts(templates, &patch, &middle, range_m, lens_px);
     starts.into_iter().map(|start| camera_from_patch * start).collect()
@@ -177,10 +177,10 @@ fn blur_margin_px(blur: &Matrix2<f64>) -> f64 {
     PATCH_MARGIN_BLURS * blur.diagonal().max().max(0.0).sqrt()
 }
 
-/// The part of a view that shows a body, and how it is to be fitted.
+/// The part of a view that shows a body, and what is expected of its blur.
 struct PreparedView {
     patch: Patch,
-    settings: Settings,
+    prior: Prior,
 }
 
 impl PreparedView {
@@ -215,18 +215,17 @@ impl PreparedView {
         let motion = Unit::try_new(motion, MIN_MOTION_PX);
         let path_px = seen_px(path_rad) - seen_px(Vector3::zeros());
         let prior = Prior::new(blur_px, path_px, motion, magnification);
-        let max_iterations = options.max_iterations;
-        Ok(Self { patch, settings: Settings { prior, extra_blur_px: 0.0, max_iterations } })
+        Ok(Self { patch, prior })
     }
 
     /// The state to start from at a pose in the camera frame.
     fn state(&self, print: &BodyPrint, camera_from_markers: &Isometry3<f64>) -> State {
-        let patch_from_markers = self.patch.patch_from_markers(camera_from_markers);
-        State::new(print, patch_from_markers, &self.settings.prior)
+        let patch_from_markers = self.patch.view_from_camera * camera_from_markers;
+        State::new(print, patch_from_markers, &self.prior)
     }
 
-    /// Side of the smallest marker's cells in the patch, pixels, with the markers at this pose in the
-    /// camera's or the patch's frame.
+    /// Side of the smallest marker's cells in the patch, pixels, with the markers at this pose in
+    /// the camera's or the patch's frame.
     fn cell_px(&self, print: &BodyPrint, pose: &Isometry3<f64>) -> f64 {
         let range_m = pose.translation.vector.norm();
         print.smallest_cell_m() / range_m * self.patch.pinhole.focal_px
@@ -238,14 +237,14 @@ impl PreparedView {
         start: State,
         options: &AlignOptions,
     ) -> Result<Alignment, AlignError> {
-        let Self { patch, settings } = self;
+        let Self { patch, prior } = self;
         let state = if options.coarse_first { self.coarse(print, start) } else { start };
-        let (fit, evidence) = self.fit_visible(print, state)?;
+        let (fit, evidence) = self.fit_visible(print, state, options.max_iterations)?;
         let along_sight = self.common_error(print, &fit.patch_from_markers);
         let rim = 1.0 + OCCLUSION_RIM * (1.0 - fit.visible_share).powi(2);
         let scale = rim * options.covariance_scale;
         let shown = fit.covariance * scale + along_sight;
-        let coded = fit.covariance * (scale * options.coding.covariance_factor()) + along_sight;
+        let coded = fit.covariance * (scale * options.coding_covariance_scale) + along_sight;
         let camera_from_patch = patch.view_from_camera.inverse();
         let turn = camera_from_patch.to_rotation_matrix().into_inner();
         let mut axes = Matrix6::zeros();
@@ -255,12 +254,9 @@ impl PreparedView {
             camera_from_markers: camera_from_patch * fit.patch_from_markers,
             covariance: axes * coded * axes.transpose(),
             is_precise: is_precise(&shown),
-            blur_px2: fit.state.blur / settings.prior.magnification.powi(2),
-            stretch_px2: settings.prior.stretch_px2(&fit.state.blur),
+            stretch_px2: prior.stretch_px2(&fit.state.blur),
             evidence,
             visible_share: fit.visible_share,
-            samples: fit.samples.len(),
-            iterations: fit.iterations,
         })
     }
 
@@ -270,57 +266,57 @@ impl PreparedView {
         if !extra_blur_px.is_finite() {
             return start;
         }
-        let settings =
-            Settings { extra_blur_px, max_iterations: COARSE_ITERATIONS, ..self.settings };
         let blurred = self.patch.blurred(extra_blur_px);
-        match solve::fit(&blurred, print, start.clone(), &[], &settings) {
+        match solve::fit(&blurred, print, start.clone(), &[], &self.prior, COARSE_ITERATIONS) {
             Some(fit) => State { blur: start.blur, ..fit.state },
             None => start,
         }
     }
 
-    /// Fits the body, then again without the facets that turn out to be occluded: an arm in front of a
-    /// facet is dark, and makes the body seem nearer than it is.
-    fn fit_visible(&self, print: &BodyPrint, state: State) -> Result<(Fit, Evidence), AlignError> {
-        let Self { patch, settings } = self;
+    /// Fits the body, then again without the facets that turn out to be occluded: an arm in front
+    /// of a facet is dark, and makes the body seem nearer than it is.
+    fn fit_visible(
+        &self,
+        print: &BodyPrint,
+        state: State,
+        max_iterations: usize,
+    ) -> Result<(BodyFit, Evidence), AlignError> {
+        let Self { patch, prior } = self;
         let compare = |state: &State, samples: &[Sample]| {
-            let samples_per_pixel = settings.prior.samples_per_pixel();
-            Comparison::new(patch, print, state, samples, samples_per_pixel)
+            compare(patch, print, state, samples, prior.samples_per_pixel())
         };
-        let mut fit = solve::fit(patch, print, state, &[], settings).ok_or(AlignError::Nothing)?;
-        let mut comparison = compare(&fit.state, &fit.samples);
+        let fit_without = |state, left_out: &[bool]| {
+            solve::fit(patch, print, state, left_out, prior, max_iterations)
+        };
+        let mut fit = fit_without(state, &[]).ok_or(AlignError::Nothing)?;
+        let (mut evidence, mut disagrees) = compare(&fit.state, &fit.samples);
         let mut left_out = vec![false; print.facets.len()];
         for _ in 0..MAX_REFITS {
-            let Comparison { evidence, disagrees } = &comparison;
             let agreeing = evidence.agreeing_facets;
-            let Some(occluded) = occlusion::occluded_facets(print, agreeing, disagrees) else {
+            let Some(occluded) = occlusion::occluded_facets(print, agreeing, &disagrees) else {
                 break;
             };
             for (out, occluded) in left_out.iter_mut().zip(occluded) {
                 *out |= occluded;
             }
-            let Some(refit) = solve::fit(patch, print, fit.state.clone(), &left_out, settings)
-            else {
-                break;
-            };
-            comparison = compare(&refit.state, &refit.samples);
+            let Some(refit) = fit_without(fit.state.clone(), &left_out) else { break };
+            (evidence, disagrees) = compare(&refit.state, &refit.samples);
             fit = refit;
         }
         if !fit.is_whole {
             // The evidence counts the occluded parts, too.
-            comparison = compare(&fit.state, &solve::all_samples(patch, print, &fit.state));
+            (evidence, _) = compare(&fit.state, &solve::all_samples(patch, print, &fit.state));
         }
-        Ok((fit, comparison.evidence))
+        Ok((fit, evidence))
     }
 
-    /// Covariance of an error that all edges share and that no residual shows: black grows or shrinks by
-    /// some hundredths of a pixel, which moves the body along the line of sight. Causes are the camera's
-    /// response, the shape of the point spread, and occlusions that were not found.
+    /// Covariance of an error that all edges share and no residual shows: black grows or shrinks by
+    /// some hundredths of a pixel, which moves the body along the line of sight. Causes are the
+    /// camera's response, the shape of the point spread, and hidden occlusions.
     fn common_error(&self, print: &BodyPrint, patch_from_markers: &Isometry3<f64>) -> Matrix6<f64> {
         let position = patch_from_markers.translation.vector;
-        let sphere_px = self.patch.pinhole.focal_px / self.settings.prior.magnification;
-        // A body of radius R at range r covers f R/r pixels, so an edge error e is a range error of
-        // e r^2/(f R).
+        let sphere_px = self.patch.pinhole.focal_px / self.prior.magnification;
+        // A body of radius R at range r covers f R/r pixels: an edge error e costs e r^2/(f R).
         let range_sigma_m =
             position.norm_squared() * COMMON_EDGE_SIGMA_PX / (sphere_px * print.radius_m());
         let along = position.normalize() * range_sigma_m;

@@ -12,15 +12,14 @@
 //! | w, b | white and black level of the facet |
 //! | B | radiance of the background, where the facets leave part of the pixel uncovered |
 //!
-//! The background is measured next to the body. Taken as black, it biased the range by a tenth of a
-//! percent at 2 m.
+//! The background is measured beside the body. Taken as black, it biased the range by 0.1 %.
 //!
-//! Each seam between two facets may add or take away some radiance. Paper has thickness, folds are round,
-//! and the place where one facet's white ends is known to a millimetre at best. Without this line, a
-//! seam biased the range by a tenth of a percent.
+//! Each seam between two facets may add or take away some radiance. Paper has thickness, folds are
+//! round, and the place where one facet's white ends is known to a millimetre at best. Without this
+//! line, a seam biased the range by a tenth of a percent.
 //!
-//! Cameras and codecs smooth code values too, which moves edges towards the bright side. That *code blur*
-//! is one more unknown.
+//! Cameras and codecs smooth code values too, which moves edges towards the bright side. That *code
+//! blur* is one more unknown.
 
 pub(super) mod blurred;
 pub(super) mod geometry;
@@ -42,6 +41,7 @@ const MAX_FACETS: usize = 3;
 
 /// The facets in one state, as the camera sees them.
 pub(super) struct Scene<'p> {
+    pub print: &'p BodyPrint,
     /// The facets that face the camera; `None` for the others.
     pub visible: Vec<Option<VisibleFacet>>,
     /// The facets with the point spread in their planes.
@@ -50,12 +50,12 @@ pub(super) struct Scene<'p> {
     pub code_bend: f64,
 }
 
-/// Blurred white and black share of each facet that shows in a pixel, and how many facets there are.
+/// Number, blurred white and black share of each facet in a pixel, and how many facets there are.
 pub(super) type FacetShares = ([(usize, f64, f64); MAX_FACETS], usize);
 
 impl<'p> Scene<'p> {
-    pub fn new(print: &'p BodyPrint, state: &State, patch: &Patch, extra_blur_px: f64) -> Self {
-        Self::of(print, state, &patch.pinhole, extra_blur_px, patch.code_bend)
+    pub fn new(print: &'p BodyPrint, state: &State, patch: &Patch) -> Self {
+        Self::of(print, state, &patch.pinhole, patch.extra_blur_px, patch.code_bend)
     }
 
     pub fn of(
@@ -77,7 +77,7 @@ impl<'p> Scene<'p> {
                 Some(BlurredFacet::new(facet, &covariance, &(per_pixel * state.even_path_px)))
             })
             .collect();
-        Self { visible, blurred, code_bend }
+        Self { print, visible, blurred, code_bend }
     }
 
     /// The facet, if it faces the camera.
@@ -86,8 +86,7 @@ impl<'p> Scene<'p> {
         Some((self.visible[index].as_ref()?, self.blurred[index].as_ref()?))
     }
 
-    /// Shares of white and of black of these `facets` in the pixel in this `direction`. Facets that face
-    /// away are left out.
+    /// Shares of white and black of the `facets` that face the camera, in the pixel at `direction`.
     pub fn shares(
         &self,
         facets: impl Iterator<Item = usize>,
@@ -136,8 +135,8 @@ impl Modelled {
 
 /// Models one pixel that lies on the first of `facets` and also shows the others.
 ///
-/// `seams` are (edge of the first facet, seam) within reach of the pixel, `background` is the radiance
-/// next to the body. How a seam's own line moves with the pose is left out, because the line is faint.
+/// `seams` are (edge of the first facet, seam) within reach of the pixel, `background` is the
+/// radiance next to the body. How a faint seam's line moves with the pose is left out.
 #[inline(always)]
 pub(super) fn model(
     scene: &Scene<'_>,
@@ -202,8 +201,8 @@ pub(super) fn model(
             }
         }
     }
-    // Blurring code values c(L) by a variance v changes radiance by v/2 (lap L + c''/c' |grad L|^2). The
-    // first term is blur like any other.
+    // Blurring code values c(L) by a variance v changes radiance by v/2 (lap L + c''/c' |grad
+    // L|^2). The first term is blur like any other.
     let bend =
         -0.5 * scene.code_bend * image_gradient.norm_squared() / modelled.radiance.max(DARKEST);
     modelled.by_common[CODE_BLUR] = bend;

@@ -1,19 +1,18 @@
 //! The normal equations, summed over samples.
 //!
-//! Samples that show the same facets depend on the same few unknowns. They are first summed in a block
-//! of fixed size, which the compiler vectorizes, and the block is added to the full matrix once.
+//! Samples that show the same facets depend on the same few unknowns. They are first summed in a
+//! block of fixed size, which the compiler vectorizes, and the block is added to the full matrix
+//! once.
 
-use nalgebra::{DMatrix, DVector};
+use nalgebra::{DMatrix, DVector, Isometry3};
 
 use super::model::{Modelled, Scene, model};
 use super::patch::Patch;
-use super::print::BodyPrint;
 use super::robust::cauchy_term;
 use super::samples::Sample;
 use super::state::{COMMON, Layout, State};
 
-/// Length of the row of a pixel that shows one facet: common unknowns, two radiance gradients, two
-/// levels, the residual.
+/// Row of a pixel of one facet: common unknowns, two gradients, two levels, the residual.
 const INSIDE: usize = LEVELS + 2 + 1;
 /// Length of the row of a pixel that shows up to three facets: six levels and two seams.
 const ACROSS: usize = LEVELS + 6 + 2 + 1;
@@ -21,21 +20,21 @@ const ACROSS: usize = LEVELS + 6 + 2 + 1;
 const LEVELS: usize = COMMON + 2;
 
 /// The normal equations `normal * step = right`.
-pub(super) struct Sums {
+pub(super) struct PoseEquations {
     pub normal: DMatrix<f64>,
     pub right: DVector<f64>,
     /// Residual of each sample, radiance; `None` where a sample says nothing ([`Sample::counted`]).
     pub residuals: Vec<Option<f32>>,
 }
 
-/// One pass over the samples.
-pub(super) struct Pass<'s> {
-    pub print: &'s BodyPrint,
-    pub patch: &'s Patch,
-    pub samples: &'s [Sample],
-    pub layout: &'s Layout,
+/// The samples of a fit, and the unknowns that they determine.
+pub(super) struct SampleSet {
+    pub samples: Vec<Sample>,
+    pub layout: Layout,
     /// Residual sigma of each facet.
-    pub sigmas: &'s [f64],
+    pub sigmas: Vec<f64>,
+    /// The pose at which the samples were chosen.
+    pub chosen_at: Isometry3<f64>,
 }
 
 /// Sums over pixels that depend on the same unknowns. A row has `ROW` numbers, the residual last.
@@ -56,12 +55,12 @@ impl<const ROW: usize> Block<ROW> {
         indices[COMMON] = gradient;
         indices[COMMON + 1] = gradient.map(|at| at + 1);
         for (k, &(facet, ..)) in modelled.levels().iter().enumerate() {
-            let at = layout.level(facet);
+            let at = layout.levels[facet];
             indices[LEVELS + 2 * k] = at;
             indices[LEVELS + 2 * k + 1] = at.map(|at| at + 1);
         }
         for (k, &(seam, _)) in modelled.seams().iter().enumerate() {
-            indices[ROW - 3 + k] = layout.seam(seam);
+            indices[ROW - 3 + k] = layout.seams[seam];
         }
         Self { indices, products: [[0.0; ROW]; ROW] }
     }
@@ -77,7 +76,7 @@ impl<const ROW: usize> Block<ROW> {
         }
     }
 
-    fn add_to(&self, sums: &mut Sums) {
+    fn add_to(&self, sums: &mut PoseEquations) {
         for (row, at) in self.indices.iter().enumerate() {
             let Some(at) = *at else { continue };
             for (column, to) in self.indices.iter().enumerate() {
@@ -90,28 +89,28 @@ impl<const ROW: usize> Block<ROW> {
     }
 }
 
-impl Pass<'_> {
+impl SampleSet {
     /// Sums the normal equations at a state.
-    pub fn sum(&self, scene: &Scene<'_>, state: &State) -> Sums {
+    pub fn sum(&self, patch: &Patch, scene: &Scene<'_>, state: &State) -> PoseEquations {
         #[cfg(target_arch = "x86_64")]
         if std::arch::is_x86_feature_detected!("avx2") {
             // SAFETY: the line above checked that the processor has AVX2.
-            return unsafe { self.sum_avx2(scene, state) };
+            return unsafe { self.sum_avx2(patch, scene, state) };
         }
-        self.sum_plain(scene, state)
+        self.sum_plain(patch, scene, state)
     }
 
     /// The portable code, compiled for AVX2. Its sums are equal to the last bit.
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx2")]
-    fn sum_avx2(&self, scene: &Scene<'_>, state: &State) -> Sums {
-        self.sum_plain(scene, state)
+    fn sum_avx2(&self, patch: &Patch, scene: &Scene<'_>, state: &State) -> PoseEquations {
+        self.sum_plain(patch, scene, state)
     }
 
     #[inline(always)]
-    fn sum_plain(&self, scene: &Scene<'_>, state: &State) -> Sums {
+    fn sum_plain(&self, patch: &Patch, scene: &Scene<'_>, state: &State) -> PoseEquations {
         let unknowns = self.layout.count;
-        let mut sums = Sums {
+        let mut sums = PoseEquations {
             normal: DMatrix::zeros(unknowns, unknowns),
             right: DVector::zeros(unknowns),
             residuals: Vec::with_capacity(self.samples.len()),
@@ -119,9 +118,9 @@ impl Pass<'_> {
         // Samples that show the same facets are neighbours in the list.
         for run in self.samples.chunk_by(|a, b| a.shows() == b.shows()) {
             if run[0].is_inside() {
-                self.sum_run::<INSIDE>(scene, state, run, &mut sums);
+                self.sum_run::<INSIDE>(patch, scene, state, run, &mut sums);
             } else {
-                self.sum_run::<ACROSS>(scene, state, run, &mut sums);
+                self.sum_run::<ACROSS>(patch, scene, state, run, &mut sums);
             }
         }
         sums
@@ -130,16 +129,17 @@ impl Pass<'_> {
     #[inline(always)]
     fn sum_run<const ROW: usize>(
         &self,
+        patch: &Patch,
         scene: &Scene<'_>,
         state: &State,
         run: &[Sample],
-        sums: &mut Sums,
+        sums: &mut PoseEquations,
     ) {
         let mut block: Option<Block<ROW>> = None;
         for sample in run {
-            let direction = sample.direction(self.patch);
+            let direction = sample.direction(patch);
             let background = f64::from(sample.background);
-            let seams = sample.seams(self.print);
+            let seams = sample.seams(scene.print);
             let modelled = model(scene, state, sample.facets(), seams, background, &direction);
             let residual = sample.counted(f64::from(sample.radiance) - modelled.radiance);
             sums.residuals.push(residual.map(|residual| residual as f32));
@@ -162,7 +162,7 @@ impl Pass<'_> {
             }
             row[ROW - 1] = residual as f32;
             let facet = usize::from(sample.facet);
-            let block = block.get_or_insert_with(|| Block::new(facet, &modelled, self.layout));
+            let block = block.get_or_insert_with(|| Block::new(facet, &modelled, &self.layout));
             block.add(&row, weight as f32);
         }
         if let Some(block) = block {

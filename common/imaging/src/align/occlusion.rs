@@ -1,10 +1,11 @@
 //! Parts of a body that something in front of it occludes: an arm, a propeller, the own airframe.
 //!
-//! An occluder is mostly darker than paper, and its soft edge moves every edge next to it: by millimetres
-//! at 2 m, where alignment is good to a tenth of that. Robust weights do not help there, because a pixel
-//! that is a little too dark is no outlier. So occluded parts are left out in two ways:
+//! An occluder's soft edge moves every edge next to it, by millimetres at 2 m. Robust weights do
+//! not help, because a pixel that is a little too dark is no outlier. So occluded parts are left
+//! out:
 //!
-//! - Pixels with large residuals are left out, with all pixels that the point spread mixes with them.
+//! - Pixels with large residuals are left out, with all pixels that the point spread mixes with
+//!   them.
 //! - Facets whose cells do not agree with the image are left out as a whole ([`occluded_facets`]).
 
 use super::patch::Patch;
@@ -15,21 +16,21 @@ use super::state::State;
 use crate::occluded::{least_residual, mark_disc, reach_px};
 
 /// What is left out of a fit.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub(super) struct Occlusion {
     /// Whether each pixel of the patch is left out; empty if none is.
     pixels: Vec<bool>,
     width: usize,
     /// Whether each facet of the body is left out; empty if none is.
     facets: Vec<bool>,
-    /// See [`Occlusion::visible_share`].
-    visible_share: Option<f64>,
+    /// The share of the samples that are not occluded; 1 before [`Occlusion::add_pixels`].
+    pub visible_share: f64,
 }
 
 impl Occlusion {
     /// An occlusion of these facets, and of no pixels.
     pub fn of_facets(facets: &[bool]) -> Self {
-        Self { facets: facets.to_vec(), ..Self::default() }
+        Self { pixels: Vec::new(), width: 0, facets: facets.to_vec(), visible_share: 1.0 }
     }
 
     /// Adds the pixels with large `residuals` at `state`, and those next to them.
@@ -55,15 +56,10 @@ impl Occlusion {
             }
         }
         let visible = samples.iter().filter(|sample| !self.has_pixel(sample)).count();
-        self.visible_share = Some(visible as f64 / samples.len().max(1) as f64);
+        self.visible_share = visible as f64 / samples.len().max(1) as f64;
         if visible == samples.len() {
             self.pixels.clear();
         }
-    }
-
-    /// The share of the samples that are not occluded; 1 before [`Occlusion::add_pixels`].
-    pub fn visible_share(&self) -> f64 {
-        self.visible_share.unwrap_or(1.0)
     }
 
     /// Whether any single pixels are left out.
@@ -90,10 +86,9 @@ impl Occlusion {
     }
 }
 
-/// The facets that something occludes: those that [`super::evidence::Comparison::disagrees`] has, and blank facets next
-/// to them.
+/// The facets that disagree ([`super::evidence::compare`]), and blank facets next to them.
 ///
-/// `None` if no facet is occluded, or if no facet agrees, because then the body may not be there at all.
+/// `None` if no facet is occluded, or if none agrees: then the body may not be there.
 pub(super) fn occluded_facets(
     print: &BodyPrint,
     agreeing_facets: u32,

@@ -7,8 +7,7 @@ use super::pinhole::Pinhole;
 use crate::image::LumaImage;
 use crate::light::LinearLight;
 
-/// Code values from here on count as saturated. Cameras clip a little below the end of the range, and
-/// magnification smooths.
+/// Code values from here on count as saturated: cameras clip a little below the end.
 const SATURATED: u8 = 252;
 
 /// A view with its pixels.
@@ -41,8 +40,7 @@ impl<'p> Picture<'p> {
 /// How a body moves across the line of sight during the exposure.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Motion {
-    /// Apparent velocity of its middle, across the line of sight, in the camera's axes, rad/s. Zero where
-    /// it is not known.
+    /// Apparent velocity of its middle in the camera's axes, rad/s. Zero where it is not known.
     pub rate_in_camera: Vector3<f64>,
     /// How long the picture was exposed, seconds; 0 where it is not known.
     pub exposure_s: f64,
@@ -62,14 +60,16 @@ pub(super) struct Patch {
     pub saturation: f64,
     /// Curvature of the camera's curve; see [`LinearLight::bend`].
     pub code_bend: f64,
+    /// Standard deviation of the Gaussian that the patch was blurred with, pixels.
+    pub extra_blur_px: f64,
 }
 
 impl Patch {
-    /// The patch that shows the sphere of `radius_m` about the body's origin at `camera_from_markers`, and
-    /// `margin_rad` around it.
+    /// The patch that shows the sphere of `radius_m` about the body's origin at
+    /// `camera_from_markers`, and `margin_rad` around it.
     ///
-    /// Blocks of the view's pixels are averaged (see [`block_side`]). `None` where the view does not
-    /// show the middle of the body.
+    /// Blocks of the view's pixels are averaged (see [`block_side`]). `None` where the view does
+    /// not show the middle of the body.
     pub fn cut(
         picture: &Picture<'_>,
         camera_from_markers: &Isometry3<f64>,
@@ -135,7 +135,6 @@ impl Patch {
             focal_px: view.focal_px / fine,
             centre_px: (of_view.centre_px - first) / fine,
         };
-        let code_bend = light.bend();
         Some(Self {
             width: columns,
             height: rows,
@@ -144,7 +143,8 @@ impl Patch {
             pinhole,
             view_from_camera,
             saturation: f64::from(light.of(u8::MAX)),
-            code_bend,
+            code_bend: light.bend(),
+            extra_blur_px: 0.0,
         })
     }
 
@@ -166,7 +166,7 @@ impl Patch {
         count as f64 / self.saturated.len() as f64
     }
 
-    /// The radiance at a point between pixels, interpolated linearly; outside the patch, that of its rim.
+    /// The radiance between pixels, interpolated linearly; outside the patch, that of its rim.
     #[inline]
     pub fn between(&self, at: Vector2<f64>) -> f32 {
         let within = |at: f64, size: usize| {
@@ -180,22 +180,16 @@ impl Patch {
         row(top) * (1.0 - down) + row(bottom) * down
     }
 
-    /// The radiance of the pixel nearest to a point; outside the patch, that of the nearest pixel at the
-    /// rim.
+    /// The radiance of the pixel nearest to a point, at the rim for points outside.
     pub fn nearest(&self, x: f64, y: f64) -> f32 {
         let within = |at: f64, size: usize| (at.round().max(0.0) as usize).min(size - 1);
         self.at(within(x, self.width), within(y, self.height))
     }
 
-    /// A pose in the camera frame, turned into the patch's frame, whose axes are the view's.
-    pub fn patch_from_markers(&self, camera_from_markers: &Isometry3<f64>) -> Isometry3<f64> {
-        self.view_from_camera * camera_from_markers
-    }
-
-    /// The patch blurred by a Gaussian of standard deviation `sigma_px`. The same pixels stay saturated.
+    /// The patch blurred by a Gaussian of this deviation. The same pixels stay saturated.
     pub fn blurred(&self, sigma_px: f64) -> Self {
         let radiance = smoothed(&self.radiance, self.width, self.height, sigma_px);
-        Self { radiance, ..self.clone() }
+        Self { radiance, extra_blur_px: sigma_px, ..self.clone() }
     }
 }
 
@@ -210,8 +204,8 @@ pub(super) fn smoothed(values: &[f32], width: usize, height: usize, sigma_px: f6
 
 /// Convolves `lines` lines of `length` values with a symmetric kernel.
 ///
-/// Values are `step` apart along a line and `stride` apart from line to line. At the ends the kernel is normalized over the
-/// values that exist.
+/// Values are `step` apart along a line and `stride` apart from line to line. At the ends the
+/// kernel is normalized over the values that exist.
 fn convolve(
     values: &[f32],
     length: usize,
@@ -237,8 +231,8 @@ fn convolve(
     out
 }
 
-/// Side of the blocks of pixels that are averaged: the patch is no finer than the sphere image, and a
-/// body of `diameter_px` no wider than `max_body_px`.
+/// Side of the blocks of pixels that are averaged: the patch is no finer than the sphere image, and
+/// a body of `diameter_px` no wider than `max_body_px`.
 fn block_side(picture: &Picture<'_>, diameter_px: f64, max_body_px: f64) -> usize {
     let for_sphere = picture.view.focal_px / picture.pixels_per_radian;
     let for_body = diameter_px / max_body_px;

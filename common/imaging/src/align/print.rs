@@ -11,29 +11,28 @@ use crate::edges::MarkerPrint;
 /// Most cells along a side of a marker, its border included, that alignment can model.
 pub const MAX_CELLS: usize = 16;
 
-/// Corners of two facets nearer to each other than this are the same corner, metres. Bodies are not
-/// measured more precisely.
+/// Corners of two facets nearer than this are the same, metres: bodies are measured no better.
 const SAME_CORNER_M: f64 = 5e-4;
 
 /// The printed surface of a body, in the markers' frame.
 #[derive(Debug, Clone, PartialEq)]
 pub struct BodyPrint {
     pub(super) facets: Vec<PrintedFacet>,
-    seams: usize,
+    /// Number of edges that two facets share.
+    pub(super) seams: usize,
     radius_m: f64,
 }
 
 /// One flat side of a body.
 ///
-/// Its frame has x to the printed right, y to the printed bottom and z into the body. The origin is the
-/// middle of the marker, or of the facet where there is no marker.
+/// Its frame has x to the printed right, y to the printed bottom and z into the body. The origin is
+/// the middle of the marker, or of the facet where there is no marker.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct PrintedFacet {
     pub markers_from_facet: Isometry3<f64>,
     /// Corners in the facet's plane, in order, metres.
     pub outline: Vec<Point2<f64>>,
-    /// For the edge from corner k to corner k + 1: the facet on its other side, and the number of the
-    /// seam between both.
+    /// The facet across the edge from corner k to k + 1, and the number of the seam.
     pub neighbours: Vec<Option<(usize, usize)>>,
     /// The marker's cells; `None` on a blank facet.
     pub cells: Option<Cells>,
@@ -51,35 +50,19 @@ pub(super) struct Cells {
 }
 
 /// Why a body cannot be modelled.
+#[allow(missing_docs, reason = "the messages say what each is")]
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum PrintError {
-    /// The dictionary does not have one of the body's markers.
     #[error("marker {id} of body '{body}' is not in the dictionary")]
-    UnknownMarker {
-        /// The body.
-        body: String,
-        /// The marker.
-        id: u32,
-    },
-    /// A marker has more cells than can be modelled.
+    UnknownMarker { body: String, id: u32 },
     #[error(
         "marker {id} of body '{body}' has {cells} cells along a side; alignment draws {MAX_CELLS} at most"
     )]
-    TooManyCells {
-        /// The body.
-        body: String,
-        /// The marker.
-        id: u32,
-        /// Its cells, border included.
-        cells: usize,
-    },
+    TooManyCells { body: String, id: u32, cells: usize },
 }
 
 impl BodyPrint {
     /// The print of `body`; `print_of` gives the print of a marker by its id.
-    ///
-    /// # Errors
-    /// A marker that is not in the dictionary, or that has too many cells.
     pub fn new<'p>(
         body: &Body,
         print_of: impl Fn(u32) -> Option<&'p MarkerPrint>,
@@ -131,13 +114,8 @@ impl BodyPrint {
         self.radius_m
     }
 
-    /// Number of edges that two facets share.
-    pub(super) fn seams(&self) -> usize {
-        self.seams
-    }
-
-    /// The other pose in which this facet looks almost the same ([`mirror_image`]; planar pose ambiguity).
-    /// `None` if there is no such facet.
+    /// The other pose in which this facet looks almost the same ([`mirror_image`]; planar pose
+    /// ambiguity). `None` if there is no such facet.
     pub fn mirrored(
         &self,
         facet: u32,

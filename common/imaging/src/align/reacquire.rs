@@ -1,10 +1,9 @@
-//! Finds a tracked body near its prediction without a decoded marker, where alignment from the prediction
-//! failed.
+//! Finds a tracked body near its prediction where alignment from the prediction failed.
 //!
-//! The print is modelled in seven attitudes around the predicted one, with more blur, and shifted over the
-//! patch. Each position is rated by how much of the image the print explains, beyond what plain facets
-//! explain. The best positions are aligned. The model of an attitude is computed once and its least squares
-//! are factored once, so a shift costs one product per pixel.
+//! The print is modelled in seven attitudes around the predicted one, with more blur, and shifted
+//! over the patch. Each position is rated by how much of the image the print explains, beyond what
+//! plain facets explain. The best positions are aligned. The model of an attitude is computed once
+//! and its least squares are factored once, so a shift costs one product per pixel.
 
 use nalgebra::{DMatrix, DVector, Isometry3, UnitQuaternion, Vector3};
 
@@ -16,9 +15,9 @@ use super::state::State;
 
 /// Attitudes that are tried differ from the prediction by this about one axis, radians.
 const TURN_RAD: f64 = 0.14;
-/// Samples of a template: a blurred body is not located better by more.
+/// Samples of a model: a blurred body is not located better by more.
 const SAMPLES: usize = 400;
-/// A template needs at least this many.
+/// A model needs at least this many.
 const MIN_SAMPLES: usize = 40;
 /// Candidates kept of each attitude, and in all.
 const MAX_CANDIDATES: usize = 3;
@@ -29,36 +28,32 @@ const STEP_BLURS: f64 = 0.7;
 /// One in this many samples may lie outside the patch or be saturated.
 const MISSING_ONE_IN: usize = 20;
 
-/// A pose from which alignment may start.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Candidate {
-    pub patch_from_markers: Isometry3<f64>,
-    /// Share of the radiance's variation that the print explains beyond plain facets.
-    explained: f64,
-}
-
 /// The most likely poses of a body within `reach_px` of its pose in `state`, best first.
 pub(super) fn candidates(
     patch: &Patch,
     print: &BodyPrint,
     state: &State,
-    extra_blur_px: f64,
     reach_px: f64,
-) -> Vec<Candidate> {
-    let mut found: Vec<Candidate> = Vec::new();
+) -> Vec<Isometry3<f64>> {
+    let mut found = Vec::new();
     for turn in attitudes() {
         let pose = &state.patch_from_markers;
         let turned = Isometry3::from_parts(pose.translation, turn * pose.rotation);
         let state = State { patch_from_markers: turned, ..state.clone() };
-        if let Some(template) = Template::new(patch, print, &state, extra_blur_px) {
-            let step = (extra_blur_px * STEP_BLURS).round().max(1.0) as isize;
+        if let Some(model) = BodyModel::new(patch, print, &state) {
+            let step = (patch.extra_blur_px * STEP_BLURS).round().max(1.0) as isize;
             let most = (reach_px / step as f64) as isize;
-            found.extend(template.candidates(patch, &state, step, most));
+            found.extend(model.candidates(patch, &state, step, most));
         }
     }
-    found.sort_by(|a, b| b.explained.total_cmp(&a.explained));
-    found.truncate(MAX_CANDIDATES);
-    found
+    keep_best(&mut found);
+    found.into_iter().map(|(pose, _)| pose).collect()
+}
+
+/// Keeps the candidates that explain most, best first.
+fn keep_best(candidates: &mut Vec<(Isometry3<f64>, f64)>) {
+    candidates.sort_by(|a, b| b.1.total_cmp(&a.1));
+    candidates.truncate(MAX_CANDIDATES);
 }
 
 /// The predicted attitude, and one turn either way about each axis.
@@ -70,7 +65,7 @@ fn attitudes() -> impl Iterator<Item = UnitQuaternion<f64>> {
 }
 
 /// A body modelled in one attitude.
-struct Template {
+struct BodyModel {
     samples: Vec<Sample>,
     /// White and black share of the facets that show in each sample.
     rows: Vec<FacetShares>,
@@ -81,10 +76,10 @@ struct Template {
     facets: usize,
 }
 
-impl Template {
-    fn new(patch: &Patch, print: &BodyPrint, state: &State, extra_blur_px: f64) -> Option<Self> {
-        let scene = Scene::new(print, state, patch, extra_blur_px);
-        let all = samples::choose(patch, &print.facets, &scene.visible, &scene.blurred);
+impl BodyModel {
+    fn new(patch: &Patch, print: &BodyPrint, state: &State) -> Option<Self> {
+        let scene = Scene::new(print, state, patch);
+        let all = samples::choose(patch, &scene);
         let samples: Vec<Sample> =
             all.iter().step_by((all.len() / SAMPLES).max(1)).copied().collect();
         if samples.len() < MIN_SAMPLES {
@@ -111,9 +106,16 @@ impl Template {
         Some(Self { samples, rows, full: full.cholesky()?, plain: plain.cholesky()?, facets })
     }
 
-    /// The best candidates among shifts by up to `most` steps, at most [`MAX_CANDIDATES`].
-    fn candidates(&self, patch: &Patch, state: &State, step: isize, most: isize) -> Vec<Candidate> {
-        let mut found: Vec<Candidate> = Vec::new();
+    /// The best poses among shifts by up to `most` steps, at most [`MAX_CANDIDATES`], and the share
+    /// of the radiance's variation that the print explains there beyond plain facets.
+    fn candidates(
+        &self,
+        patch: &Patch,
+        state: &State,
+        step: isize,
+        most: isize,
+    ) -> Vec<(Isometry3<f64>, f64)> {
+        let mut found = Vec::new();
         for down in -most..=most {
             for right in -most..=most {
                 let (dx, dy) = (right * step, down * step);
@@ -123,16 +125,14 @@ impl Template {
                 let shift =
                     Vector3::new(dx as f64, dy as f64, 0.0) * (position.z / patch.pinhole.focal_px);
                 let moved = Isometry3::from_parts((position + shift).into(), pose.rotation);
-                found.push(Candidate { patch_from_markers: moved, explained });
+                found.push((moved, explained));
             }
         }
-        found.sort_by(|a, b| b.explained.total_cmp(&a.explained));
-        found.truncate(MAX_CANDIDATES);
+        keep_best(&mut found);
         found
     }
 
-    /// What the template, shifted by (`dx`, `dy`) pixels, explains beyond plain facets. `None` where too
-    /// much of it leaves the patch.
+    /// What the shifted model explains beyond plain facets. `None` where much leaves the patch.
     fn explained(&self, patch: &Patch, dx: isize, dy: isize) -> Option<f64> {
         let mut full = DVector::zeros(2 * self.facets);
         let mut plain = DVector::zeros(self.facets);

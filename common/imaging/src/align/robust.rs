@@ -1,5 +1,5 @@
-//! Robust statistics of residuals: weights, scales, the variance of an M-estimator, and the correlation
-//! of neighbouring residuals.
+//! Robust statistics of residuals: weights, scales, the variance of an M-estimator, and the
+//! correlation of neighbouring residuals.
 
 use super::samples::Sample;
 
@@ -7,16 +7,15 @@ use super::samples::Sample;
 const CAUCHY_SCALE: f64 = 2.4;
 /// Least residual sigma of a facet, share of nominal white: no sensor measures radiance better.
 const MIN_SIGMA: f64 = 1.5e-3;
-/// Largest residual sigma of a facet, relative to the [`reference_sigma`]. Facets differ in radiance and
-/// so in noise, but a facet with much larger residuals is partly occluded, which must not count as noise.
+/// Largest residual sigma of a facet, relative to the [`reference_sigma`]. Facets differ in
+/// radiance and so in noise, but a facet with much larger residuals is partly occluded, which must
+/// not count as noise.
 const MAX_RELATIVE_SIGMA: f64 = 3.0;
 /// A facet with fewer samples than this takes the residual sigma of all samples together.
 const MIN_SAMPLES_FOR_SIGMA: usize = 20;
-/// Least mean slope of the influence function, relative to the mean weight. Below it most residuals are
-/// outliers.
+/// Least mean slope of the influence function over the mean weight: fewer are mostly outliers.
 const MIN_INFLUENCE_SLOPE: f64 = 0.2;
-/// Residuals are correlated with neighbours up to this many pixels away along each axis. Farther away,
-/// the sum gathers noise.
+/// Residuals correlate with neighbours up to so many pixels; farther, the sum gathers noise.
 const CORRELATION_REACH_PX: usize = 2;
 
 /// A residual r, squared, over the scale of Cauchy's function: its weight is 1 / (1 + this).
@@ -34,8 +33,8 @@ pub(super) fn cauchy_term(squared_sigmas: f64) -> f64 {
 /// mean(psi^2) mean(w) / mean(psi')^2
 /// ```
 ///
-/// times the inverse normal matrix (Huber, "Robust Statistics", section 7.6). That factor is 0.92 for
-/// normal noise and larger where outliers are left.
+/// times the inverse normal matrix (Huber, "Robust Statistics", section 7.6). That factor is 0.92
+/// for normal noise and larger where outliers are left.
 #[derive(Debug, Default)]
 pub(super) struct MEstimator {
     /// Sum of w.
@@ -68,27 +67,28 @@ impl MEstimator {
     }
 }
 
-/// The influence of one pixel's residual, in standard deviations.
-pub(super) struct Influence {
-    pub x: usize,
-    pub y: usize,
-    pub sigmas: f32,
-}
-
-/// How many samples carry the information of one, from the correlation of neighbouring residuals: the
-/// variance of a sum of n residuals r is n var(r) times this.
+/// How many samples carry the information of one, from the correlation of neighbouring residuals:
+/// the variance of a sum of n residuals r is n var(r) times this.
 ///
-/// It is 1 plus the sum of the correlations with all neighbours within [`CORRELATION_REACH_PX`] (the
-/// effective sample size of spatially correlated data; Cressie, "Statistics for Spatial Data", section
-/// 1.3).
-pub(super) fn residual_correlation(width: usize, height: usize, influences: &[Influence]) -> f64 {
+/// It is 1 plus the sum of the correlations with all neighbours within [`CORRELATION_REACH_PX`]
+/// (the effective sample size of spatially correlated data; Cressie, "Statistics for Spatial Data",
+/// section 1.3).
+///
+/// `influences` has the places of pixels in rows of `width`, and the influence of each residual,
+/// standard deviations.
+pub(super) fn residual_correlation(
+    width: usize,
+    height: usize,
+    influences: &[(usize, f32)],
+) -> f64 {
     // Zero where there is no sample, so that it adds nothing.
     let mut at = vec![0.0f32; width * height];
-    for own in influences {
-        at[own.y * width + own.x] = own.sigmas;
+    for &(place, sigmas) in influences {
+        at[place] = sigmas;
     }
     let (mut squares, mut products) = (0.0, 0.0);
-    for &Influence { x, y, sigmas } in influences {
+    for &(place, sigmas) in influences {
+        let (x, y) = (place % width, place / width);
         let columns =
             x.saturating_sub(CORRELATION_REACH_PX)..(x + CORRELATION_REACH_PX + 1).min(width);
         let rows =
@@ -126,8 +126,8 @@ pub(super) fn facet_sigmas(
     sigmas
 }
 
-/// Residual sigma of facets that nothing occludes: the first quartile over the samples, each with the
-/// sigma of its facet.
+/// Residual sigma of facets that nothing occludes: the first quartile over the samples, each with
+/// the sigma of its facet.
 pub(super) fn reference_sigma(sigmas: &[f64], samples: &[Sample]) -> f64 {
     let mut counts = vec![0usize; sigmas.len()];
     for sample in samples {
@@ -172,9 +172,8 @@ mod tests {
         (0..SIDE * SIDE).map(|_| random()).collect()
     }
 
-    fn influences(sigmas: impl Fn(usize, usize) -> f32) -> Vec<Influence> {
-        let places = (0..SIDE).flat_map(|y| (0..SIDE).map(move |x| (x, y)));
-        places.map(|(x, y)| Influence { x, y, sigmas: sigmas(x, y) }).collect()
+    fn influences(sigmas: impl Fn(usize, usize) -> f32) -> Vec<(usize, f32)> {
+        (0..SIDE * SIDE).map(|place| (place, sigmas(place % SIDE, place / SIDE))).collect()
     }
 
     #[test]

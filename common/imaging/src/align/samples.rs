@@ -2,6 +2,7 @@
 
 use std::ops::Range;
 
+use super::model::Scene;
 use super::model::blurred::BlurredFacet;
 use super::model::geometry::VisibleFacet;
 use super::patch::Patch;
@@ -17,9 +18,9 @@ const REACH: f32 = 3.0;
 const SILHOUETTE_MARGIN: f32 = 2.5;
 /// Beyond this distance from an edge, the model has nothing of what lies across it.
 const NO_INFLUENCE: f32 = 3.6;
-/// Large facets do without the pixels next to edges, where most model errors are: folds, gaps, arms and
-/// shadows that begin there. The margin grows from zero, where the middle of the facet is as far from its
-/// edges as the first of these, to [`NO_INFLUENCE`] at the second.
+/// Large facets do without the pixels next to edges, where most model errors are: folds, gaps, arms
+/// and shadows that begin there. The margin grows from zero, where the middle of the facet is as
+/// far from its edges as the first of these, to [`NO_INFLUENCE`] at the second.
 const LARGE_FACET: (f32, f32) = (8.0, 16.0);
 /// The background is measured this far outside the silhouette, where nothing of the body shows.
 const BACKGROUND_DISTANCE: f32 = 3.0;
@@ -37,8 +38,8 @@ pub(super) struct Sample {
     pub radiance: f32,
     /// Whether its radiance may be more than that.
     pub is_saturated: bool,
-    /// Radiance of the background next to the body, outside the nearest silhouette edge. The pixel's own
-    /// radiance where no silhouette is within reach.
+    /// Radiance of the background next to the body, outside the nearest silhouette edge. The
+    /// pixel's own radiance where no silhouette is within reach.
     pub background: f32,
     /// The facet that the pixel lies on.
     pub facet: u8,
@@ -52,8 +53,8 @@ pub(super) struct Sample {
 const NONE: u8 = u8::MAX;
 
 impl Sample {
-    /// By how much it is brighter than its model, or `None` where that says nothing: a saturated pixel is at least as
-    /// bright as it seems.
+    /// By how much it is brighter than its model, or `None` where that says nothing: a saturated
+    /// pixel is at least as bright as it seems.
     #[inline(always)]
     pub fn counted(&self, residual: f64) -> Option<f64> {
         (!self.is_saturated || residual > 0.0).then_some(residual)
@@ -93,36 +94,30 @@ impl Sample {
     }
 }
 
-/// The pixels inside facets that face the camera, away from the silhouette. Those that show the same
-/// facets are neighbours in the list.
-pub(super) fn choose(
-    patch: &Patch,
-    facets: &[PrintedFacet],
-    visible: &[Option<VisibleFacet>],
-    blurred: &[Option<BlurredFacet<'_>>],
-) -> Vec<Sample> {
+/// The pixels inside facets that face the camera, away from the silhouette. Those that show the
+/// same facets are neighbours in the list.
+pub(super) fn choose(patch: &Patch, scene: &Scene<'_>) -> Vec<Sample> {
+    let visible = &scene.visible;
     let mut found: Vec<(u16, u16, u8, Reach)> = Vec::new();
-    for (index, facet) in facets.iter().enumerate() {
+    for (index, facet) in scene.print.facets.iter().enumerate() {
         // Facets beyond number 254 are left out: no body has as many.
-        let (Some(visible_facet), Some(blurred_facet), Ok(number)) =
-            (&visible[index], &blurred[index], u8::try_from(index))
+        let (Some((visible_facet, blurred_facet)), Ok(number)) =
+            (scene.facet(index), u8::try_from(index))
         else {
             continue;
         };
-        let margins = Margins::of(facet, blurred_facet);
+        let room = room(facet, blurred_facet);
         let plane_from_pixel = visible_facet.plane_from_pixel(&patch.pinhole);
-        let sides = Sides::of(facet, blurred_facet, visible, margins, &plane_from_pixel);
+        let sides = sides(facet, blurred_facet, visible, room, &plane_from_pixel);
         let bounds = |axis: usize, size: usize| {
-            let values = visible_facet.outline_px.iter().map(|corner| corner[axis]);
-            let (low, high) = values
-                .fold((f64::MAX, f64::MIN), |(low, high), value| (low.min(value), high.max(value)));
+            let (low, high) = visible_facet.span_px(axis);
             low.ceil().max(0.0) as usize..((high.floor() + 1.0).max(0.0) as usize).min(size)
         };
         let columns = bounds(0, patch.width);
         for y in bounds(1, patch.height) {
-            for x in sides.within(y, &columns) {
+            for x in columns_within(&sides, y, &columns) {
                 let at = on_plane(&plane_from_pixel, x, y);
-                if let Some(reach) = reach(facet, blurred_facet, visible, margins, at) {
+                if let Some(reach) = reach(facet, blurred_facet, visible, room, at) {
                     found.push((x as u16, y as u16, number, reach));
                 }
             }
@@ -133,8 +128,8 @@ pub(super) fn choose(
     let sample = |(x, y, number, reach): (u16, u16, u8, Reach)| {
         let radiance = patch.at(x.into(), y.into());
         let facet = usize::from(number);
-        let background = match (reach.silhouette, &visible[facet], &blurred[facet]) {
-            (Some(edge), Some(visible), Some(blurred)) => {
+        let background = match (reach.silhouette, scene.facet(facet)) {
+            (Some(edge), Some((visible, blurred))) => {
                 background(patch, visible, blurred, edge, (x.into(), y.into()))
             }
             _ => radiance,
@@ -172,75 +167,58 @@ fn on_plane(plane_from_pixel: &Matrix3<f64>, x: usize, y: usize) -> Vector2<f64>
 }
 
 /// Lines in the patch that enclose a facet's pixels: its edges, moved inwards by their margins.
-struct Sides(Vec<Vector3<f64>>);
-
-impl Sides {
-    fn of(
-        facet: &PrintedFacet,
-        blurred: &BlurredFacet<'_>,
-        visible: &[Option<VisibleFacet>],
-        margins: Margins,
-        plane_from_pixel: &Matrix3<f64>,
-    ) -> Self {
-        // The depth inside an edge is linear in the plane. Multiplied by the homography's denominator it
-        // is also linear in the patch. The last line is that denominator itself.
-        let edge = |k: usize| {
-            let normal = blurred.inwards(k).cast::<f64>();
-            let least = margins.at(facet, k, visible);
-            let offset = f64::from(blurred.depth(k, Vector2::zeros()) - least);
-            plane_from_pixel.transpose() * normal.push(offset)
-        };
-        let edges = (0..facet.outline.len()).map(edge);
-        let before = plane_from_pixel.row(2).transpose();
-        Self(edges.chain([before]).collect())
-    }
-
-    /// The columns of a row between the lines, or one more at either end.
-    fn within(&self, y: usize, columns: &Range<usize>) -> Range<usize> {
-        let (mut first, mut last) = (columns.start as f64, columns.end as f64 - 1.0);
-        for side in &self.0 {
-            let at_zero = side.y * y as f64 + side.z;
-            let crossing = -at_zero / side.x;
-            if side.x > 0.0 {
-                first = first.max(crossing.floor());
-            } else if side.x < 0.0 {
-                last = last.min(crossing.ceil());
-            } else if at_zero < 0.0 {
-                return 0..0;
-            }
-        }
-        first as usize..(last + 1.0).max(0.0) as usize
-    }
+fn sides(
+    facet: &PrintedFacet,
+    blurred: &BlurredFacet<'_>,
+    visible: &[Option<VisibleFacet>],
+    room: f32,
+    plane_from_pixel: &Matrix3<f64>,
+) -> Vec<Vector3<f64>> {
+    // The depth inside an edge is linear in the plane. Multiplied by the homography's denominator
+    // it is also linear in the patch. The last line is that denominator itself.
+    let edge = |k: usize| {
+        let normal = blurred.inwards(k).cast::<f64>();
+        let least = margin(room, visible_across(facet, k, visible));
+        let offset = f64::from(blurred.depth(k, Vector2::zeros()) - least);
+        plane_from_pixel.transpose() * normal.push(offset)
+    };
+    let edges = (0..facet.outline.len()).map(edge);
+    let before = plane_from_pixel.row(2).transpose();
+    edges.chain([before]).collect()
 }
 
-/// Pixels nearer than this to an edge of a facet are left out.
-#[derive(Debug, Clone, Copy)]
-struct Margins {
-    /// At an edge to another visible facet.
-    seam: f32,
-    /// At an edge where the body ends.
-    silhouette: f32,
-}
-
-impl Margins {
-    fn of(facet: &PrintedFacet, blurred: &BlurredFacet<'_>) -> Self {
-        let middle = Vector2::zeros();
-        let depths = (0..facet.outline.len()).map(|edge| blurred.depth(edge, middle));
-        let room =
-            (depths.fold(f32::MAX, f32::min) - LARGE_FACET.0) / (LARGE_FACET.1 - LARGE_FACET.0);
-        let room = room.clamp(0.0, 1.0);
-        Self {
-            seam: room * NO_INFLUENCE,
-            silhouette: SILHOUETTE_MARGIN + room * (NO_INFLUENCE - SILHOUETTE_MARGIN),
+/// The columns of a row between the lines, or one more at either end.
+fn columns_within(sides: &[Vector3<f64>], y: usize, columns: &Range<usize>) -> Range<usize> {
+    let (mut first, mut last) = (columns.start as f64, columns.end as f64 - 1.0);
+    for side in sides {
+        let at_zero = side.y * y as f64 + side.z;
+        let crossing = -at_zero / side.x;
+        if side.x > 0.0 {
+            first = first.max(crossing.floor());
+        } else if side.x < 0.0 {
+            last = last.min(crossing.ceil());
+        } else if at_zero < 0.0 {
+            return 0..0;
         }
     }
+    first as usize..(last + 1.0).max(0.0) as usize
+}
 
-    /// The margin of one edge.
-    fn at(self, facet: &PrintedFacet, edge: usize, visible: &[Option<VisibleFacet>]) -> f32 {
-        match visible_across(facet, edge, visible) {
-            Some(_) => self.seam,
-            None => self.silhouette,
-        }
+/// How large a facet is, from 0 to 1; see [`LARGE_FACET`].
+fn room(facet: &PrintedFacet, blurred: &BlurredFacet<'_>) -> f32 {
+    let middle = Vector2::zeros();
+    let depths = (0..facet.outline.len()).map(|edge| blurred.depth(edge, middle));
+    let room = (depths.fold(f32::MAX, f32::min) - LARGE_FACET.0) / (LARGE_FACET.1 - LARGE_FACET.0);
+    room.clamp(0.0, 1.0)
+}
+
+/// Pixels nearer than this to an edge are left out, by the visible facet across it: there is none
+/// where the body ends.
+#[inline]
+fn margin(room: f32, across: Option<usize>) -> f32 {
+    match across {
+        Some(_) => room * NO_INFLUENCE,
+        None => SILHOUETTE_MARGIN + room * (NO_INFLUENCE - SILHOUETTE_MARGIN),
     }
 }
 
@@ -261,18 +239,17 @@ struct Reach {
     /// Edges within reach, and the facets across them.
     edges: [u8; 2],
     neighbours: [u8; 2],
-    /// The nearest silhouette edge.
     silhouette: Option<usize>,
 }
 
-/// The edges within reach of a point. `None` if the point lies outside the facet, within a margin or too
-/// near to a corner.
+/// The edges within reach of a point. `None` if the point lies outside the facet, within a margin
+/// or too near to a corner.
 #[inline]
 fn reach(
     facet: &PrintedFacet,
     blurred: &BlurredFacet<'_>,
     visible: &[Option<VisibleFacet>],
-    margins: Margins,
+    room: f32,
     at: Vector2<f64>,
 ) -> Option<Reach> {
     let (mut edges, mut neighbours) = ([NONE; 2], [NONE; 2]);
@@ -287,12 +264,12 @@ fn reach(
             return None;
         }
         near_edges += u32::from(depth < CORNER);
-        match visible_across(facet, k, visible) {
-            Some(_) if depth < margins.seam => return None,
-            None if depth < margins.silhouette => return None,
+        let across = visible_across(facet, k, visible);
+        match across {
+            _ if depth < margin(room, across) => return None,
             _ if depth >= REACH => {}
-            // The numbers fit into a byte unless the facet has more than 254 edges or the body as many
-            // facets; then there is no such sample.
+            // The numbers fit into a byte unless the facet has more than 254 edges or the body as
+            // many facets; then there is no such sample.
             Some(neighbour) if count < edges.len() => {
                 edges[count] = u8::try_from(k).ok()?;
                 neighbours[count] = u8::try_from(neighbour).ok()?;
@@ -346,18 +323,18 @@ mod tests {
                 let per_pixel = visible_facet.facet_from_pixel;
                 let spread = per_pixel * Matrix2::identity() * blur * per_pixel.transpose();
                 let blurred = BlurredFacet::new(facet, &spread, &Vector2::zeros());
-                let margins = Margins::of(facet, &blurred);
+                let room = room(facet, &blurred);
                 let plane = visible_facet.plane_from_pixel(&pinhole);
-                let sides = Sides::of(facet, &blurred, &visible, margins, &plane);
+                let sides = sides(facet, &blurred, &visible, room, &plane);
                 for y in 0..SIZE {
-                    let within = sides.within(y, &(0..SIZE));
+                    let within = columns_within(&sides, y, &(0..SIZE));
                     prop_assert!(within.end <= SIZE);
                     between += within.len();
                     for x in 0..SIZE {
                         let at = on_plane(&plane, x, y);
                         // Behind the camera the plane has no points.
                         let is_ahead = (plane * Vector3::new(x as f64, y as f64, 1.0)).z > 0.0;
-                        if is_ahead && reach(facet, &blurred, &visible, margins, at).is_some() {
+                        if is_ahead && reach(facet, &blurred, &visible, room, at).is_some() {
                             samples += 1;
                             prop_assert!(within.contains(&x), "{} {}: {:?}", x, y, within);
                         }

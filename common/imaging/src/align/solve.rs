@@ -1,19 +1,19 @@
-//! Fits a body to a patch: Gauss-Newton over pose, blur, code blur, the white and black levels of each
-//! facet and the radiance of the seams, all in one step.
+//! Fits a body to a patch: Gauss-Newton over pose, blur, code blur, the white and black levels of
+//! each facet and the radiance of the seams, all in one step.
 //!
-//! In the last step the radiance may also change along each facet. Lamps and windows are some metres away,
-//! and arms and hulls shade. This gradient is not fitted earlier, because a half-occluded facet would pass
-//! for one.
+//! In the last step the radiance may also change along each facet. Lamps and windows are some
+//! metres away, and arms and hulls shade. This gradient is not fitted earlier, because a
+//! half-occluded facet would pass for one.
 //!
-//! Residuals are weighted by Cauchy's function with a residual sigma for each facet, so that a propeller
-//! or a shadow on one facet does not affect the others.
+//! Residuals are weighted by Cauchy's function with a residual sigma for each facet, so that a
+//! propeller or a shadow on one facet does not affect the others.
 
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn, Isometry3, Matrix6};
 
-use super::covariance::{self, Solved};
+use super::covariance::pose_covariance;
 use super::levels::fit_levels;
 use super::model::{Scene, rim_shift_px};
-use super::normal_equations::Pass;
+use super::normal_equations::SampleSet;
 use super::occlusion::Occlusion;
 use super::patch::Patch;
 use super::print::BodyPrint;
@@ -21,32 +21,23 @@ use super::robust::facet_sigmas;
 use super::samples::{self, Sample};
 use super::state::{Layout, Prior, State, add_priors, apply_step};
 
-/// A step that moves the rim of the body by less than this, pixels, is the last: the next would be a
-/// fraction of it.
+/// A step that moves the rim of the body by less than this, pixels, is the last: the next would be
+/// a fraction of it.
 const CONVERGED_PX: f64 = 0.03;
-/// After a step that moves the rim by less than this, large residuals are occlusions, not an error of the
-/// pose.
+/// After a step that moves the rim by less than this, large residuals are occlusions, not an error
+/// of the pose.
 const NEAR_CONVERGED_PX: f64 = 0.3;
 /// Samples are chosen again where the rim moved by more than this since they were chosen, pixels.
 const RESAMPLE_SHIFT_PX: f64 = 0.5;
-/// Every fit takes more steps than this, because the blur settles later than the pose. A good start needs hardly more, so
-/// only what the pose still moves after them counts as wandering.
+/// Every fit takes more steps than this, because the blur settles later than the pose. A good start
+/// needs hardly more, so only what the pose still moves after them counts as wandering.
 const STRAIGHT_STEPS: usize = 2;
 /// A fit needs at least this many samples.
 const MIN_SAMPLES: usize = 60;
 
-/// How a fit is done.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Settings {
-    pub prior: Prior,
-    /// Standard deviation of a Gaussian that the patch was blurred with beforehand, pixels.
-    pub extra_blur_px: f64,
-    pub max_iterations: usize,
-}
-
 /// The result of a fit.
 #[derive(Debug, Clone)]
-pub(super) struct Fit {
+pub(super) struct BodyFit {
     /// The state with uniform radiance on each facet.
     pub state: State,
     /// The pose with radiance gradients; that of `state` where these are not determined.
@@ -59,33 +50,33 @@ pub(super) struct Fit {
     pub is_whole: bool,
     /// The share of the samples for which no occlusion was found.
     pub visible_share: f64,
-    pub iterations: usize,
 }
 
 /// Fits a body to a patch, from `start`, using the facets that face the camera.
 ///
-/// Facets that are set in `occluded_facets` are left out (none if it is empty), and so are pixels that are
-/// found to be occluded. `None` where too little of the body is visible, or the fit does not converge.
+/// Facets that are set in `occluded_facets` are left out (none if it is empty), and so are pixels
+/// that are found to be occluded. `None` where too little of the body is visible, or the fit does
+/// not converge.
 pub(super) fn fit(
     patch: &Patch,
     print: &BodyPrint,
     start: State,
     occluded_facets: &[bool],
-    settings: &Settings,
-) -> Option<Fit> {
+    prior: &Prior,
+    max_iterations: usize,
+) -> Option<BodyFit> {
     let mut state = start;
     let focal_px = patch.pinhole.focal_px;
     let mut occlusion = Occlusion::of_facets(occluded_facets);
     let mut has_occlusion = false;
-    let mut problem = Problem::new(patch, print, &mut state, &occlusion, settings)?;
+    let mut set = choose(patch, print, &mut state, &occlusion)?;
     let mut wandered = 0.0;
     for iteration in 1.. {
-        let Problem { samples, layout, sigmas, .. } = &problem;
-        let scene = Scene::new(print, &state, patch, settings.extra_blur_px);
-        let pass = Pass { print, patch, samples, layout, sigmas };
-        let mut sums = pass.sum(&scene, &state);
+        let SampleSet { samples, layout, sigmas, .. } = &set;
+        let scene = Scene::new(print, &state, patch);
+        let mut sums = set.sum(patch, &scene, &state);
         let from_samples = sums.normal.clone();
-        add_priors(&mut sums.normal, &mut sums.right, &state, layout, &settings.prior);
+        add_priors(&mut sums.normal, &mut sums.right, &state, layout, prior);
         let uniform = ..layout.uniform_count;
         let normal = sums.normal.view_range(uniform, uniform).into_owned().cholesky()?;
         let step = normal.solve(&sums.right.rows_range(uniform));
@@ -96,13 +87,11 @@ pub(super) fn fit(
             wandered += in_deviations(&step, &normal)?;
         }
         let is_converged = moved < CONVERGED_PX && !is_straight;
-        let is_last = is_converged || iteration >= settings.max_iterations;
+        let is_last = is_converged || iteration >= max_iterations;
         if has_occlusion && is_last {
             let covariance = |normal: &_, from_samples: &_, explained: f64| {
                 let residuals = &sums.residuals;
-                let solved =
-                    Solved { normal, from_samples, explained, wandered, residuals, sigmas };
-                covariance::of_pose(&solved, patch, samples)
+                pose_covariance(&set, patch, residuals, normal, from_samples, explained, wandered)
             };
             let with_gradients = || {
                 let normal = sums.normal.clone().cholesky()?;
@@ -119,37 +108,36 @@ pub(super) fn fit(
                     (state.patch_from_markers, covariance(&normal, &from_samples, 0.0)?)
                 }
             };
-            return Some(Fit {
+            return Some(BodyFit {
                 state,
                 patch_from_markers,
                 covariance,
-                samples: problem.samples,
+                samples: set.samples,
                 is_whole: occlusion.is_empty(),
-                visible_share: occlusion.visible_share(),
-                iterations: iteration,
+                visible_share: occlusion.visible_share,
             });
         }
         let sigmas = facet_sigmas(samples, &sums.residuals, sigmas.len());
         let shift_px =
-            rim_shift_px(&problem.chosen_at, &state.patch_from_markers, print.radius_m(), focal_px);
+            rim_shift_px(&set.chosen_at, &state.patch_from_markers, print.radius_m(), focal_px);
         let mut must_resample = shift_px > RESAMPLE_SHIFT_PX;
-        let is_near = moved < NEAR_CONVERGED_PX || iteration + 2 >= settings.max_iterations;
+        let is_near = moved < NEAR_CONVERGED_PX || iteration + 2 >= max_iterations;
         if is_near && !has_occlusion {
             has_occlusion = true;
             occlusion.add_pixels(patch, &state, &sigmas, samples, &sums.residuals);
             must_resample |= occlusion.has_pixels();
         }
         if must_resample {
-            problem = Problem::new(patch, print, &mut state, &occlusion, settings)?;
+            set = choose(patch, print, &mut state, &occlusion)?;
         } else {
-            problem.sigmas = sigmas;
+            set.sigmas = sigmas;
         }
     }
     None
 }
 
-/// How far a step moves the pose, its first six unknowns, in standard deviations of what the normal equations say of the
-/// pose (Mahalanobis distance). `None` where they do not determine it.
+/// How far a step moves the pose, its first six unknowns, in standard deviations of what the normal
+/// equations say of the pose (Mahalanobis distance). `None` where they do not determine it.
 fn in_deviations(step: &DVector<f64>, normal: &Cholesky<f64, Dyn>) -> Option<f64> {
     let of_pose = step.fixed_rows::<6>(0);
     let columns = normal.solve(&DMatrix::identity(step.len(), 6));
@@ -159,59 +147,43 @@ fn in_deviations(step: &DVector<f64>, normal: &Cholesky<f64, Dyn>) -> Option<f64
 
 /// All pixels that show the body in a state, occluded or not.
 pub(super) fn all_samples(patch: &Patch, print: &BodyPrint, state: &State) -> Vec<Sample> {
-    let scene = Scene::new(print, state, patch, 0.0);
-    samples::choose(patch, &print.facets, &scene.visible, &scene.blurred)
+    samples::choose(patch, &Scene::new(print, state, patch))
 }
 
-/// Fits the white and black levels of the facets that face the camera, at the pose that `state` has. Returns
-/// the samples; `None` where they are too few.
+/// Fits the white and black levels of the facets that face the camera, at the pose that `state`
+/// has. Returns the samples; `None` where they are too few.
 pub(super) fn fit_levels_alone(
     patch: &Patch,
     print: &BodyPrint,
     state: &mut State,
-    settings: &Settings,
 ) -> Option<Vec<Sample>> {
-    let occlusion = Occlusion::of_facets(&[]);
-    Some(Problem::new(patch, print, state, &occlusion, settings)?.samples)
+    Some(choose(patch, print, state, &Occlusion::of_facets(&[]))?.samples)
 }
 
-/// The samples of a fit, and the unknowns that they determine.
-struct Problem {
-    samples: Vec<Sample>,
-    layout: Layout,
-    /// Residual sigma of each facet.
-    sigmas: Vec<f64>,
-    /// The pose at which the samples were chosen.
-    chosen_at: Isometry3<f64>,
-}
-
-impl Problem {
-    /// Chooses the samples at a state and fits the state's white and black levels to them. `None` where
-    /// the samples are too few.
-    fn new(
-        patch: &Patch,
-        print: &BodyPrint,
-        state: &mut State,
-        occlusion: &Occlusion,
-        settings: &Settings,
-    ) -> Option<Self> {
-        let scene = Scene::new(print, state, patch, settings.extra_blur_px);
-        let mut samples = samples::choose(patch, &print.facets, &scene.visible, &scene.blurred);
-        samples.retain(|sample| !occlusion.contains(sample));
-        if samples.len() < MIN_SAMPLES {
-            return None;
-        }
-        let layout = layout(print, &scene, &samples);
-        let sigmas = fit_levels(patch, &scene, &samples, &layout, state)?;
-        Some(Self { samples, layout, sigmas, chosen_at: state.patch_from_markers })
+/// Chooses the samples at a state and fits the state's white and black levels to them. `None` where
+/// the samples are too few.
+fn choose(
+    patch: &Patch,
+    print: &BodyPrint,
+    state: &mut State,
+    occlusion: &Occlusion,
+) -> Option<SampleSet> {
+    let scene = Scene::new(print, state, patch);
+    let mut samples = samples::choose(patch, &scene);
+    samples.retain(|sample| !occlusion.contains(sample));
+    if samples.len() < MIN_SAMPLES {
+        return None;
     }
+    let layout = layout(&scene, &samples);
+    let sigmas = fit_levels(patch, &scene, &samples, &layout, state)?;
+    Some(SampleSet { samples, layout, sigmas, chosen_at: state.patch_from_markers })
 }
 
 /// Index of each unknown of the facets that face the camera and of the seams that `samples` show.
-pub(super) fn layout(print: &BodyPrint, scene: &Scene<'_>, samples: &[Sample]) -> Layout {
+pub(super) fn layout(scene: &Scene<'_>, samples: &[Sample]) -> Layout {
     let is_visible = scene.visible.iter().map(Option::is_some);
-    let seams = samples.iter().flat_map(|sample| sample.seams(print).map(|(_, seam)| seam));
-    Layout::new(is_visible, print.seams(), seams)
+    let seams = samples.iter().flat_map(|sample| sample.seams(scene.print).map(|(_, seam)| seam));
+    Layout::new(is_visible, scene.print.seams, seams)
 }
 
 #[cfg(test)]
@@ -220,7 +192,8 @@ mod tests {
 
     #[test]
     fn a_step_counts_in_deviations_of_the_pose_whatever_else_it_changes() {
-        // The seventh unknown is bound to the first: alone, the first has a deviation of 1 / sqrt(4 - 3² / 9) = 1 / sqrt(3).
+        // The seventh unknown is bound to the first: alone, the first has a deviation of 1 / sqrt(4
+        // - 3² / 9) = 1 / sqrt(3).
         let mut normal = DMatrix::<f64>::identity(7, 7);
         (normal[(0, 0)], normal[(6, 6)]) = (4.0, 9.0);
         (normal[(0, 6)], normal[(6, 0)]) = (3.0, 3.0);

@@ -6,50 +6,47 @@ use nalgebra::{
 
 use super::print::BodyPrint;
 
-/// Unknowns that do not belong to one facet: six of the pose, three of the blur, one of the code blur.
+/// Unknowns that do not belong to one facet: six of the pose, three of the blur, one of the code
+/// blur.
 pub(super) const COMMON: usize = 10;
 /// Index of the code blur.
 pub(super) const CODE_BLUR: usize = 9;
-/// Code blur, expected value and standard deviation, pixels of the sphere image squared. Measured: 0.1
-/// in views cut from plain frames, 0.25 after H.264.
+/// Code blur, expected value and standard deviation, pixels of the sphere image squared. Measured:
+/// 0.1 in views cut from plain frames, 0.25 after H.264.
 const CODE_BLUR_PRIOR_PX2: (f64, f64) = (0.1, 0.15);
 /// Black as a share of white, expected value and standard deviation.
 pub(super) const BLACK_SHARE_PRIOR: (f64, f64) = (0.06, 0.12);
-/// Standard deviation of a seam's radiance, as the width in metres of a line as bright as white. Bodies
-/// are folded, glued and bevelled, so the radiance along a seam is not known beforehand.
+/// Standard deviation of a seam's radiance, as the width in metres of a line as bright as white.
+/// Bodies are folded, glued and bevelled, so the radiance along a seam is not known beforehand.
 const SEAM_SIGMA_M: f64 = 6e-5;
-/// Standard deviation of the radiance gradient along a facet, relative to its radiance, per metre. It
-/// is that of a facet three metres from a lamp: 2 % from the middle of a facet of 6 cm to its edge. Arms
-/// and hulls near the body shade more than that.
+/// Standard deviation of the radiance gradient along a facet, relative to its radiance, per metre.
+/// It is that of a facet three metres from a lamp: 2 % from the middle of a facet of 6 cm to its
+/// edge. Arms and hulls near the body shade more than that.
 const GRADIENT_SIGMA_PER_M: f64 = 0.7;
-/// Standard deviation of the variance that the path adds, as a share of it: track and gyroscope know the
-/// apparent velocity to some per cent.
+/// Standard deviation of the variance that the path adds, as a share of it: track and gyroscope
+/// know the apparent velocity to some per cent.
 const PATH_UNCERTAINTY: f64 = 0.1;
-/// A path that is longer than this, in standard deviations of the lens's point spread, is no Gaussian.
+/// A path that is longer than this, in standard deviations of the lens's point spread, is no
+/// Gaussian.
 const LONG_PATH_BLURS: f64 = 2.0;
 /// Narrowest and widest point spread (standard deviation), pixels.
 const BLUR_LIMITS_PX: (f64, f64) = (0.35, 6.0);
 
-/// An even blur along a path, as the mean of two Gaussians: one a share [`PathBlur::OFFSET`] of the path before
-/// its middle, one as far behind, each with a share [`PathBlur::VARIANCE`] of the squared path as variance along
-/// it. With these two, second and fourth moments are those of the even blur.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct PathBlur;
+// An even blur along a path is modelled as the mean of two Gaussians, one before the path's middle
+// and one behind it. With these two numbers, second and fourth moments are those of the even blur.
 
-impl PathBlur {
-    /// Fourth root of 1/240.
-    pub const OFFSET: f64 = 0.254_066;
-    /// 1/12 less the square of the offset.
-    pub const VARIANCE: f64 = 0.018_784;
-}
+/// Distance of either Gaussian from the middle, as a share of the path: the fourth root of 1/240.
+pub(super) const PATH_OFFSET: f64 = 0.254_066;
+/// Variance of either along the path, as a share of its square: 1/12 less the square of the offset.
+pub(super) const PATH_VARIANCE: f64 = 0.018_784;
 
 /// Values of the unknowns.
 #[derive(Debug, Clone)]
 pub(super) struct State {
     /// Pose of the markers in the patch's frame, whose axes are the view's.
     pub patch_from_markers: Isometry3<f64>,
-    /// How far the body moves during the exposure, pixels: known, and not fitted. Zero where it is not
-    /// known, or so short that a Gaussian shows it as well.
+    /// How far the body moves during the exposure, pixels: known, and not fitted. Zero where it is
+    /// not known, or so short that a Gaussian shows it as well.
     pub even_path_px: Vector2<f64>,
     /// Covariance of the point spread, beside what the path does, pixels squared.
     pub blur: Matrix2<f64>,
@@ -57,7 +54,8 @@ pub(super) struct State {
     pub code_blur: f64,
     /// White and black level of each facet.
     pub levels: Vec<[f64; 2]>,
-    /// Radiance that each seam between two facets adds, as a line without width: radiance times metres.
+    /// Radiance that each seam between two facets adds, as a line without width: radiance times
+    /// metres.
     pub seams: Vec<f64>,
 }
 
@@ -70,7 +68,7 @@ impl State {
             blur: within_limits(&prior.blur),
             code_blur: 0.0,
             levels: vec![[0.0; 2]; print.facets.len()],
-            seams: vec![0.0; print.seams()],
+            seams: vec![0.0; print.seams],
         }
     }
 }
@@ -91,11 +89,11 @@ pub(super) struct Prior {
 }
 
 impl Prior {
-    /// A lens with this point spread, its standard deviation in pixels of the patch, and a body that moves
-    /// by `path_px` during the exposure and in the direction `motion`.
+    /// A lens with this point spread, its standard deviation in pixels of the patch, and a body
+    /// that moves by `path_px` during the exposure and in the direction `motion`.
     ///
-    /// A short path of length d blurs along itself like a Gaussian of variance d^2 / 12; a long one is
-    /// modelled as it is ([`PathBlur`]).
+    /// A short path of length d blurs along itself like a Gaussian of variance d^2 / 12; a long one
+    /// is modelled as it is ([`PATH_OFFSET`]).
     pub fn new(
         lens_px: f64,
         path_px: Vector2<f64>,
@@ -104,24 +102,25 @@ impl Prior {
     ) -> Self {
         let is_long = path_px.norm() > LONG_PATH_BLURS * lens_px;
         let (even_path_px, share) =
-            if is_long { (path_px, PathBlur::VARIANCE) } else { (Vector2::zeros(), 1.0 / 12.0) };
+            if is_long { (path_px, PATH_VARIANCE) } else { (Vector2::zeros(), 1.0 / 12.0) };
         let blur = Matrix2::identity() * lens_px.powi(2) + path_px * path_px.transpose() * share;
         let (of_lens, of_path) =
             (0.5 * lens_px.powi(2), PATH_UNCERTAINTY * path_px.norm_squared() / 12.0);
         Self { even_path_px, blur, blur_sigma_px2: of_lens.hypot(of_path), motion, magnification }
     }
 
-    /// By how much the variance of a point spread along the motion exceeds that across it, pixels of the
-    /// sphere image squared.
+    /// By how much the variance of a point spread along the motion exceeds that across it, pixels
+    /// of the sphere image squared.
     pub fn stretch_px2(&self, blur: &Matrix2<f64>) -> Option<f64> {
         let along = self.motion?.into_inner();
         let across = Vector2::new(-along.y, along.x);
         let variance = |axis: Vector2<f64>| axis.dot(&(blur * axis));
-        let of_path = self.even_path_px.norm_squared() * (1.0 / 12.0 - PathBlur::VARIANCE);
+        let of_path = self.even_path_px.norm_squared() * (1.0 / 12.0 - PATH_VARIANCE);
         Some((variance(along) - variance(across) + of_path) / self.magnification.powi(2))
     }
 
-    /// How many samples carry the information of one: pixels of a magnified view are not independent.
+    /// How many samples carry the information of one: pixels of a magnified view are not
+    /// independent.
     pub fn samples_per_pixel(&self) -> f64 {
         self.magnification.powi(2).max(1.0)
     }
@@ -129,12 +128,14 @@ impl Prior {
 
 /// Index of each unknown of facets and seams in the normal equations.
 ///
-/// Facets that face away and seams that no sample shows have none. The radiance gradients come last, so
-/// that all other unknowns can be solved for without them.
+/// Facets that face away and seams that no sample shows have none. The radiance gradients come
+/// last, so that all other unknowns can be solved for without them.
 #[derive(Debug)]
 pub(super) struct Layout {
-    levels: Vec<Option<usize>>,
-    seams: Vec<Option<usize>>,
+    /// Of each facet's white level; its black level is the next.
+    pub levels: Vec<Option<usize>>,
+    /// Of each seam's radiance.
+    pub seams: Vec<Option<usize>>,
     /// Number of unknowns without the radiance gradients.
     pub uniform_count: usize,
     /// Number of all unknowns.
@@ -142,8 +143,8 @@ pub(super) struct Layout {
 }
 
 impl Layout {
-    /// `is_visible` says for each facet whether it faces the camera; `seams_shown` are the seams that
-    /// samples show, in the samples' order.
+    /// `is_visible` says for each facet whether it faces the camera; `seams_shown` are the seams
+    /// that samples show, in the samples' order.
     pub fn new(
         is_visible: impl Iterator<Item = bool>,
         seam_count: usize,
@@ -169,20 +170,10 @@ impl Layout {
         Self { levels, seams, uniform_count: count, count: count + 2 * facets }
     }
 
-    /// Index of a facet's white level; its black level is the next.
-    pub fn level(&self, facet: usize) -> Option<usize> {
-        self.levels[facet]
-    }
-
     /// Index of a facet's radiance gradient along its x axis; that along y is the next.
     pub fn gradient(&self, facet: usize) -> Option<usize> {
         // Levels come in pairs too, in the same order.
         Some(self.uniform_count + (self.levels[facet]? - COMMON))
-    }
-
-    /// Index of a seam's radiance.
-    pub fn seam(&self, seam: usize) -> Option<usize> {
-        self.seams[seam]
     }
 
     /// Facets with an index, and the index of their white level.
@@ -190,15 +181,15 @@ impl Layout {
         self.levels.iter().enumerate().filter_map(|(facet, at)| Some((facet, (*at)?)))
     }
 
-    fn seams(&self) -> impl Iterator<Item = (usize, usize)> {
+    fn shown_seams(&self) -> impl Iterator<Item = (usize, usize)> {
         self.seams.iter().enumerate().filter_map(|(seam, at)| Some((seam, (*at)?)))
     }
 }
 
 /// Adds the priors to the normal equations.
 ///
-/// They expect the lens's point spread, black that is a small share of white, uniform radiance over each
-/// facet, and seams that hardly show.
+/// They expect the lens's point spread, black that is a small share of white, uniform radiance over
+/// each facet, and seams that hardly show.
 pub(super) fn add_priors(
     normal: &mut DMatrix<f64>,
     right: &mut DVector<f64>,
@@ -242,7 +233,7 @@ pub(super) fn add_priors(
             normal[(at + 1, at + 1)] += share / GRADIENT_SIGMA_PER_M.powi(2);
         }
     }
-    for (seam, at) in layout.seams() {
+    for (seam, at) in layout.shown_seams() {
         let precision = share / (SEAM_SIGMA_M * brightest).powi(2);
         normal[(at, at)] += precision;
         right[at] -= precision * state.seams[seam];
@@ -251,8 +242,8 @@ pub(super) fn add_priors(
 
 /// Applies a step, shortened where it is too long, without its radiance gradients.
 ///
-/// Returns how far the body moved in a patch of this focal length, pixels. `None` for a step that is not
-/// finite.
+/// Returns how far the body moved in a patch of this focal length, pixels. `None` for a step that
+/// is not finite.
 pub(super) fn apply_step(
     state: &mut State,
     step: &DVector<f64>,
@@ -282,7 +273,7 @@ pub(super) fn apply_step(
         state.levels[facet][0] += step[at];
         state.levels[facet][1] += step[at + 1];
     }
-    for (seam, at) in layout.seams() {
+    for (seam, at) in layout.shown_seams() {
         state.seams[seam] += step[at];
     }
     let turned = turn.norm() * 0.08 / position.norm() * focal_px;

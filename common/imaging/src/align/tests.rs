@@ -15,7 +15,7 @@ use super::model::blurred::BlurredFacet;
 use super::model::geometry::visible_facets;
 use super::model::{Modelled, Scene, model};
 use super::pinhole::Pinhole;
-use super::state::PathBlur;
+use super::state::PATH_VARIANCE;
 use super::*;
 use crate::light::{CodeRange, LinearLight, TransferCurve};
 use drawn_body::{Drawing, draw, prints};
@@ -75,14 +75,10 @@ fn a_start_nearby_converges_to_the_truth() {
         let error = found.camera_from_markers.translation.vector - truth.translation.vector;
         let turned = found.camera_from_markers.rotation.angle_to(&truth.rotation);
         println!(
-            "{range_m} m: {:.3} mm, {:.4} rad, {:?}, blur {:.2} {:.2}, {} samples, {} steps, sigma {:.3} mm",
+            "{range_m} m: {:.3} mm, {:.4} rad, {:?}, sigma {:.3} mm",
             error.norm() * 1e3,
             turned,
             found.evidence,
-            found.blur_px2[(0, 0)].sqrt(),
-            found.blur_px2[(1, 1)].sqrt(),
-            found.samples,
-            found.iterations,
             found.covariance.fixed_view::<3, 3>(0, 0).trace().sqrt() * 1e3
         );
         assert!(error.norm() < tolerance_m, "{} m at {range_m} m", error.norm());
@@ -91,7 +87,8 @@ fn a_start_nearby_converges_to_the_truth() {
     }
 }
 
-/// What video coding does to a pose shows in no residual, and does not count for whether it is a measurement.
+/// What video coding does to a pose shows in no residual, and does not count for whether it is a
+/// measurement.
 #[test]
 fn a_pose_in_video_is_less_certain_and_as_precise() {
     let print = print_of(&body(0));
@@ -99,20 +96,21 @@ fn a_pose_in_video_is_less_certain_and_as_precise() {
     let drawing = draw(&body(0), &truth, PIXELS_PER_RADIAN, 0.9, 0.004);
     let light = srgb();
     let picture = Picture::still(drawing.image(), drawing.view, &light, PIXELS_PER_RADIAN);
-    let aligned = |coding, covariance_scale| {
-        let options = AlignOptions { coding, covariance_scale, ..AlignOptions::default() };
+    let aligned = |coding_covariance_scale, covariance_scale| {
+        let options =
+            AlignOptions { coding_covariance_scale, covariance_scale, ..AlignOptions::default() };
         align(&print, &picture, &truth, &options).expect("it is there")
     };
-    let [image, video] = [Coding::Images, Coding::Video].map(|coding| aligned(coding, 1.0));
+    let [image, video] = [1.0, VIDEO_COVARIANCE_SCALE].map(|of_coding| aligned(of_coding, 1.0));
     assert_eq!(image.camera_from_markers, video.camera_from_markers);
     let ratio = video.covariance[(4, 4)] / image.covariance[(4, 4)];
-    assert!((ratio - Coding::Video.covariance_factor()).abs() < 1e-9, "{ratio}");
+    assert!((ratio - VIDEO_COVARIANCE_SCALE).abs() < 1e-9, "{ratio}");
     // With a scale by which the picture's own covariance is just precise.
-    let is_precise_with = |scale: &f64| aligned(Coding::Images, *scale).is_precise;
+    let is_precise_with = |scale: &f64| aligned(1.0, *scale).is_precise;
     let scales: Vec<f64> = (0..12).map(|power| 2f64.powi(power)).collect();
     let scale = *scales.iter().rfind(|scale| is_precise_with(scale)).expect("the first is small");
     assert!(!is_precise_with(scales.last().expect("there are twelve")));
-    let video = aligned(Coding::Video, scale);
+    let video = aligned(VIDEO_COVARIANCE_SCALE, scale);
     assert!(video.is_precise && !is_precise(&video.covariance), "with a scale of {scale}");
 }
 
@@ -146,7 +144,8 @@ fn a_depiction_is_the_picture_at_the_true_pose() {
     assert!(depict(&print, &picture, &behind, &AlignOptions::default()).is_err());
 }
 
-/// The drawing as a camera takes it that exposes it longer by so many stops: clipped after it was blurred.
+/// The drawing as a camera takes it that exposes it longer by so many stops: clipped after it was
+/// blurred.
 pub(super) fn exposed(drawing: &Drawing, stops: f64) -> Drawing {
     let light = srgb();
     let code = |code: u8| {
@@ -218,7 +217,8 @@ fn an_arm_in_front_of_a_body_does_not_move_it() {
     }
 }
 
-/// The drawing with code values smoothed along both axes, with a variance of a quarter of a pixel squared.
+/// The drawing with code values smoothed along both axes, with a variance of a quarter of a pixel
+/// squared.
 fn smoothed(drawing: &Drawing) -> Drawing {
     let side = drawing.view.size_px as usize;
     let line = |pixels: &[f64], step: usize| -> Vec<f64> {
@@ -250,8 +250,8 @@ fn smoothed_code_values_do_not_bias_the_range() {
     assert!(bias_m.abs() < 0.4e-3, "{:.2} mm", bias_m * 1e3);
 }
 
-/// The drawing lit from one side: 30 % darker than in the middle at one rim of the body, 30 % brighter at
-/// the opposite one.
+/// The drawing lit from one side: 30 % darker than in the middle at one rim of the body, 30 %
+/// brighter at the opposite one.
 fn lit_from_a_side(drawing: &Drawing, range_m: f64, [across, down]: [f64; 2]) -> Drawing {
     let side = drawing.view.size_px as usize;
     let radius_px = 0.08 / range_m * PIXELS_PER_RADIAN;
@@ -280,7 +280,7 @@ fn an_even_blur_is_the_mean_along_its_path() {
     for path in [[0.006, 0.0], [0.0, 0.012], [0.008, 0.008], [0.0145, -0.01]] {
         let path = Vector2::from(path);
         let gaussian = |share: f64| lens + path * path.transpose() * share;
-        let moving = BlurredFacet::new(facet, &gaussian(PathBlur::VARIANCE), &path);
+        let moving = BlurredFacet::new(facet, &gaussian(PATH_VARIANCE), &path);
         let alike = BlurredFacet::new(facet, &gaussian(1.0 / 12.0), &Vector2::zeros());
         let (mut off, mut off_alike) = (0.0f64, 0.0f64);
         for place in 0..121 {
@@ -311,7 +311,7 @@ fn radiance_gradients_are_the_last_unknowns() {
     );
     let state = State::new(&print, ahead, &Prior::new(1.0, Vector2::zeros(), None, 1.0));
     let scene = Scene::of(&print, &state, &pinhole, 0.0, 0.5);
-    let layout = solve::layout(&print, &scene, &[]);
+    let layout = solve::layout(&scene, &[]);
     let gradients = layout.facets().filter_map(|(facet, _)| layout.gradient(facet));
     let indices: Vec<usize> = gradients.flat_map(|at| [at, at + 1]).collect();
     assert!(indices.len() > 10);
@@ -341,8 +341,8 @@ fn light_from_one_side_does_not_move_it() {
     assert!(mean_m < 0.45e-3, "{:.2} mm", mean_m * 1e3);
 }
 
-/// The drawing with a dark post in front of the body, a little beside its middle, with edges as soft as
-/// the lens makes them. The post is slanted by `slant` pixels for each row.
+/// The drawing with a dark post in front of the body, a little beside its middle, with edges as
+/// soft as the lens makes them. The post is slanted by `slant` pixels for each row.
 fn behind_a_post(drawing: &Drawing, width_px: f64, slant: f64) -> Drawing {
     let side = drawing.view.size_px as usize;
     let mut pixels = drawing.pixels.clone();
@@ -409,8 +409,8 @@ fn values_that_are_not_finite_and_wrong_views_are_refused() {
 
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(200))]
-    /// From far away, the mirrored pose shows a facet's corners in the same places, with the facet tilted
-    /// the other way.
+    /// From far away, the mirrored pose shows a facet's corners in the same places, with the facet
+    /// tilted the other way.
     #[test]
     fn mirrored_poses_look_the_same_from_far_away(
         euler in prop::array::uniform3(-3.0..3.0f64),

@@ -8,13 +8,13 @@ use crate::image::LumaImage;
 use crate::light::LinearLight;
 use crate::square::mean_side_px;
 
-/// Moves each side of a black square to where the radiance falls most steeply within 2 px of it, in steps
-/// of a quarter of a pixel.
+/// Moves each side of a black square to where the radiance falls most steeply within 2 px of it, in
+/// steps of a quarter of a pixel.
 ///
-/// The result is precise enough to read a marker whose contour was found, when nothing is known of its
-/// cells but how many there are along a side, border included. It also brings a guess within reach of
-/// [`super::refine_corners`]. The border's *inner* edge, where the radiance rises, cannot be taken for the
-/// outer one.
+/// The result is precise enough to read a marker whose contour was found, when nothing is known of
+/// its cells but how many there are along a side, border included. It also brings a guess within
+/// reach of [`super::refine_corners`]. The border's *inner* edge, where the radiance rises, cannot
+/// be taken for the outer one.
 ///
 /// `None` where the sides lie outside the image or do not cross any more.
 pub fn approach_corners(
@@ -29,7 +29,8 @@ pub fn approach_corners(
     let window = (0.5 * cell).clamp(1.0, 3.0);
     let width = (window / STEP_PX).round() as usize;
     let search = (SEARCH_PX / STEP_PX) as usize;
-    // Radiance at each step of depth, from `search + width` steps outside the guess to as many inside.
+    // Radiance at each step of depth, from `search + width` steps outside the guess to as many
+    // inside.
     let mut values = vec![0.0f32; 2 * (search + width) + 1];
     let mut moved = Vec::with_capacity(4);
     for k in 0..4 {

@@ -23,72 +23,62 @@ impl Grid {
 }
 
 /// The share of white at each grid point, row by row, and its derivatives by x and y, per pixel.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub(super) struct Drawing {
     pub white: Vec<f32>,
     pub by_x: Vec<f32>,
     pub by_y: Vec<f32>,
     /// The print without blur, with a rim. Kept to reuse its memory.
     sharp: Vec<f32>,
+    /// White (1) or black (0) of every cell, with one row of white cells around.
+    cells: Vec<f32>,
+    /// Cells along a side.
+    count: usize,
 }
 
-/// Gaussians wider than this, in steps of the grid, are summed over one point for each grid point, narrower
-/// ones over four. Then an edge moves by less than 0.01 steps with the phase of the grid.
+/// Gaussians wider than this, in steps of the grid, are summed over one point for each grid point,
+/// narrower ones over four. Then an edge moves by less than 0.01 steps with the phase of the grid.
 const WIDE_STEPS: f64 = 0.85;
 
 /// Gaussians are truncated here, standard deviations.
 const REACH: f64 = 3.1;
 
-/// White (1) or black (0) of every cell, with one row of white cells around.
-#[derive(Debug)]
-pub(super) struct Cells {
-    white: Vec<f32>,
-    count: usize,
+/// The mean of `count` x `count` cells with a rim, over a rectangle of `width` by `height` about
+/// the point (`a`, `b`), all in cells. The rectangle must not be larger than a cell.
+fn mean(cells: &[f32], count: usize, (a, b): (f32, f32), width: f32, height: f32) -> f32 {
+    let last = count as f32 + 0.49;
+    let (before, share) = nearest_edge(a.clamp(-0.5, last), width);
+    let (above, lower) = nearest_edge(b.clamp(-0.5, last), height);
+    let first = above * (count + 2) + before;
+    let row = |first: usize| cells[first] + share * (cells[first + 1] - cells[first]);
+    let upper = row(first);
+    upper + lower * (row(first + count + 2) - upper)
 }
 
-impl Cells {
-    pub(super) fn of(print: &MarkerPrint) -> Self {
-        let count = print.cells();
-        let last = count as isize;
-        let white = (-1..=last).flat_map(|row| {
-            (-1..=last).map(move |column| f32::from(u8::from(print.is_white(row, column))))
-        });
-        Self { white: white.collect(), count }
-    }
-
-    /// Cells along a side.
-    pub(super) fn count(&self) -> usize {
-        self.count
-    }
-
-    /// The mean over a rectangle of `width` by `height` about the point (`a`, `b`), all in cells. The rectangle
-    /// must not be larger than a cell.
-    fn mean(&self, a: f32, b: f32, width: f32, height: f32) -> f32 {
-        let last = self.count as f32 + 0.49;
-        let (before, share) = nearest_edge(a.clamp(-0.5, last), width);
-        let (above, lower) = nearest_edge(b.clamp(-0.5, last), height);
-        let first = above * (self.count + 2) + before;
-        let row =
-            |first: usize| self.white[first] + share * (self.white[first + 1] - self.white[first]);
-        let upper = row(first);
-        upper + lower * (row(first + self.count + 2) - upper)
-    }
-}
-
-/// The cell before the edge nearest to `at`, counted from the row around the square, and the share of a box of
-/// this width about `at` that lies behind the edge.
+/// The cell before the edge nearest to `at`, counted from the row around the square, and the share
+/// of a box of this width about `at` that lies behind the edge.
 fn nearest_edge(at: f32, width: f32) -> (usize, f32) {
     let edge = (at + 0.5).floor();
     (edge as usize, ((at - edge) / width + 0.5).clamp(0.0, 1.0))
 }
 
 impl Drawing {
-    /// Renders cells on a grid. `cells_from_view` maps pixels to cells, `blur` is the Gaussian's covariance in
-    /// pixels squared. `None` if the covariance is singular.
+    /// A drawing of `print` that has not been rendered yet.
+    pub(super) fn of(print: &MarkerPrint) -> Self {
+        let count = print.cells();
+        let last = count as isize;
+        let cells = (-1..=last).flat_map(|row| {
+            (-1..=last).map(move |column| f32::from(u8::from(print.is_white(row, column))))
+        });
+        let [white, by_x, by_y, sharp] = [const { Vec::new() }; 4];
+        Self { white, by_x, by_y, sharp, cells: cells.collect(), count }
+    }
+
+    /// Renders the print on a grid. `cells_from_view` maps pixels to cells, `blur` is the
+    /// Gaussian's covariance in pixels squared. `None` if the covariance is singular.
     pub(super) fn draw(
         &mut self,
         grid: &Grid,
-        cells: &Cells,
         cells_from_view: &Matrix3<f64>,
         blur: &Matrix2<f64>,
     ) -> Option<()> {
@@ -114,7 +104,7 @@ impl Drawing {
         }
         for (phase_y, phase_x) in (0..phases).flat_map(|y| (0..phases).map(move |x| (y, x))) {
             let offset = Vector2::new(offset(phase_x), offset(phase_y));
-            self.draw_sharp(grid, cells, cells_from_view, rim, offset, 1.0 / phases as f64);
+            self.draw_sharp(grid, cells_from_view, rim, offset, 1.0 / phases as f64);
             let width = grid.columns + 2 * rim;
             for j in -reach..=reach {
                 for i in -reach..=reach {
@@ -134,7 +124,8 @@ impl Drawing {
         Some(())
     }
 
-    /// Adds the print without blur, shifted to begin at `first`, to the three images, weighted by `taps`.
+    /// Adds the print without blur, shifted to begin at `first`, to the three images, weighted by
+    /// `taps`.
     fn add(&mut self, grid: &Grid, width: usize, first: usize, taps: [f32; 3]) {
         let columns = grid.columns;
         for row in 0..grid.rows {
@@ -150,12 +141,11 @@ impl Drawing {
         }
     }
 
-    /// Renders the print without blur at the grid points and a rim of `rim` points around them, all shifted by
-    /// `offset` steps. Each point is the mean over `share` of a step.
+    /// Renders the print without blur at the grid points and a rim of `rim` points around them, all
+    /// shifted by `offset` steps. Each point is the mean over `share` of a step.
     fn draw_sharp(
         &mut self,
         grid: &Grid,
-        cells: &Cells,
         cells_from_view: &Matrix3<f64>,
         rim: usize,
         offset: Vector2<f64>,
@@ -176,13 +166,15 @@ impl Drawing {
         let box_of = |k: usize| (share * right[k].hypot(down[k])).clamp(1e-3, 1.0) as f32;
         let (wide, high) = (box_of(0), box_of(1));
         let across = place(1.0, 0.0) - place(0.0, 0.0);
-        self.sharp.clear();
-        self.sharp.reserve(columns * rows);
+        let Self { sharp, cells, count, .. } = self;
+        sharp.clear();
+        sharp.reserve(columns * rows);
         for y in 0..rows {
             let mut at = place(0.0, y as f64);
             for _ in 0..columns {
                 let over = 1.0 / at.z;
-                self.sharp.push(cells.mean((at.x * over) as f32, (at.y * over) as f32, wide, high));
+                let at_cell = ((at.x * over) as f32, (at.y * over) as f32);
+                sharp.push(mean(cells, *count, at_cell, wide, high));
                 at += across;
             }
         }
@@ -211,12 +203,12 @@ mod tests {
             0.0,
             1.0,
         );
-        let mut drawing = Drawing::default();
+        let mut drawing = Drawing::of(&print);
         for step in [1, 2] {
             for sigma in [0.9, 1.2, 2.0].map(|sigma| sigma * step as f64) {
                 let grid = Grid { left: 0, top: 0, columns: 15, rows: 15, step };
                 let blur = Matrix2::from_diagonal_element(sigma * sigma);
-                drawing.draw(&grid, &Cells::of(&print), &cells_from_view, &blur).unwrap();
+                drawing.draw(&grid, &cells_from_view, &blur).unwrap();
                 // A grid point is the mean over a step, which blurs too.
                 let sigma = sigma.hypot(step as f64 / 12f64.sqrt());
                 // A blurred interval along one coordinate, and its derivative.

@@ -1,42 +1,38 @@
 //! Brings all profiles of a marker to one light.
 //!
-//! Where the edge of a shadow crosses a marker, white and black differ from profile to profile. Each profile is
-//! compared with the print that it should show, which gives its own white and black. With these it is scaled to what
-//! the marker has on average.
+//! Where the edge of a shadow crosses a marker, white and black differ from profile to profile.
+//! Each profile is compared with the print that it should show, which gives its own white and
+//! black. With these it is scaled to what the marker has on average.
 
 use super::model::share;
-use super::profile::Side;
+use super::profile::{EdgeProfile, Side};
 use crate::gaussian::Gaussian;
 
-/// Least radiance of a profile's white above its black, as a share of the marker's mean. Below, its edge would drown in
-/// noise.
+/// Least radiance of a profile's white above its black, as a share of the marker's mean. Below, its
+/// edge would drown in noise.
 const MIN_CONTRAST_SHARE: f64 = 0.05;
 
-/// Least variance of the share of white over a profile's samples: with less, all of them are white, or all black.
+/// Least variance of the share of white over a profile's samples: with less, all of them are white,
+/// or all black.
 const MIN_SPREAD: f64 = 0.01;
 
-/// White and black of one profile, by least squares.
-struct Levels {
-    white: f64,
-    black: f64,
-}
-
-/// Scales the samples of every profile to the mean white and the mean black of all. `blur` is that of the first and third
-/// side, then of the second and fourth, pixels. Profiles without contrast go.
+/// Scales the samples of every profile to the mean white and the mean black of all. `blur` is that
+/// of the first and third side, then of the second and fourth, pixels. Profiles without contrast
+/// go.
 pub(super) fn level(sides: &mut [Side; 4], blur: [f64; 2]) {
-    let levels: Vec<Vec<Option<Levels>>> =
+    let levels: Vec<Vec<Option<(f64, f64)>>> =
         sides.iter().enumerate().map(|(k, side)| levels_of(side, blur[k % 2])).collect();
     let known = || levels.iter().flatten().flatten();
     let count = known().count().max(1) as f64;
-    let white = known().map(|level| level.white).sum::<f64>() / count;
-    let black = known().map(|level| level.black).sum::<f64>() / count;
+    let white = known().map(|(white, _)| white).sum::<f64>() / count;
+    let black = known().map(|(_, black)| black).sum::<f64>() / count;
     for (side, levels) in sides.iter_mut().zip(levels) {
         let mut levels = levels.into_iter();
         side.profiles.retain_mut(|profile| {
-            let Some(level) = levels.next().flatten() else { return false };
-            let contrast = level.white - level.black;
+            let Some((own_white, own_black)) = levels.next().flatten() else { return false };
+            let contrast = own_white - own_black;
             for sample in &mut profile.samples {
-                let share = (sample.radiance - level.black) / contrast;
+                let share = (sample.radiance - own_black) / contrast;
                 sample.radiance = black + (white - black) * share;
             }
             contrast > MIN_CONTRAST_SHARE * (white - black)
@@ -44,17 +40,19 @@ pub(super) fn level(sides: &mut [Side; 4], blur: [f64; 2]) {
     }
 }
 
-/// Whether any sample may stand for more light than it says. Where white saturates, a profile does not show its own.
+/// Whether any sample may stand for more light than it says. Where white saturates, a profile does
+/// not show its own.
 pub(super) fn is_clipped(sides: &[Side; 4]) -> bool {
     let mut samples =
         sides.iter().flat_map(|side| &side.profiles).flat_map(|profile| &profile.samples);
     samples.any(|sample| sample.is_clipped)
 }
 
-/// White and black of each profile of a side whose edge is about where it was guessed. `None` where white is no brighter.
-fn levels_of(side: &Side, blur: f64) -> Vec<Option<Levels>> {
+/// White and black, by least squares, of each profile of a side whose edge is about where it was
+/// guessed. `None` where white is no brighter.
+fn levels_of(side: &Side, blur: f64) -> Vec<Option<(f64, f64)>> {
     let gaussian = Gaussian::get();
-    let of = |profile: &super::profile::Profile| {
+    let of = |profile: &EdgeProfile| {
         let (mut n, mut x, mut xx, mut y, mut xy) = (0.0, 0.0, 0.0, 0.0, 0.0);
         // A clipped sample stands for more light than it says.
         for sample in profile.samples.iter().filter(|sample| !sample.is_clipped) {
@@ -70,7 +68,7 @@ fn levels_of(side: &Side, blur: f64) -> Vec<Option<Levels>> {
         let black = (y - slope * x) / n;
         // False for a NaN.
         (determinant > MIN_SPREAD * n * n && slope > 0.0 && black.is_finite())
-            .then_some(Levels { white: black + slope, black })
+            .then_some((black + slope, black))
     };
     side.profiles.iter().map(of).collect()
 }

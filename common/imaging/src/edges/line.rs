@@ -13,7 +13,7 @@ const MAX_SCATTER_PX: f64 = 1.0;
 
 /// Position of the edge in one profile.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Place {
+pub(super) struct EdgePoint {
     /// Position of the profile along the side: -1 at the first corner, 1 at the second.
     pub along: f64,
     /// Distance from the guessed side, inwards, pixels.
@@ -31,7 +31,8 @@ pub(super) struct EdgeLine {
 }
 
 impl EdgeLine {
-    /// A line parallel to the guess, `offset` pixels inside it, with a standard deviation of one pixel.
+    /// A line parallel to the guess, `offset` pixels inside it, with a standard deviation of one
+    /// pixel.
     pub(super) fn parallel(offset: f64) -> Self {
         Self { offset, slope: 0.0, covariance: Matrix2::from_diagonal_element(1.0) }
     }
@@ -52,15 +53,16 @@ impl EdgeLine {
     }
 }
 
-/// Fits a line by weighted least squares of the distances across the side. To first order in the slope that
-/// is total least squares, because the guess is within a degree or two of the line.
+/// Fits a line by weighted least squares of the distances across the side. To first order in the
+/// slope that is total least squares, because the guess is within a degree or two of the line.
 ///
-/// Outliers are rejected by Tukey's weights, starting from a repeated median, which tolerates nearly half of
-/// the positions being wrong. The covariance follows from the scatter and from the correlation of neighbours.
-/// It is no smaller than `expected`, the covariance that the noise of the samples explains.
+/// Outliers are rejected by Tukey's weights, starting from a repeated median, which tolerates
+/// nearly half of the positions being wrong. The covariance follows from the scatter and from the
+/// correlation of neighbours. It is no smaller than `expected`, the covariance that the noise of
+/// the samples explains.
 ///
 /// `None` where fewer than four positions, or fewer than half of them, agree on a line.
-pub(super) fn fit(places: &[Place], expected: Matrix2<f64>) -> Option<EdgeLine> {
+pub(super) fn fit(places: &[EdgePoint], expected: Matrix2<f64>) -> Option<EdgeLine> {
     if places.len() < 4 {
         return None;
     }
@@ -98,7 +100,7 @@ pub(super) fn fit(places: &[Place], expected: Matrix2<f64>) -> Option<EdgeLine> 
 }
 
 /// Distance of a position from the line of this offset and slope.
-fn distance(place: &Place, line: Vector2<f64>) -> f64 {
+fn distance(place: &EdgePoint, line: Vector2<f64>) -> f64 {
     place.depth - line[0] - line[1] * place.along
 }
 
@@ -114,7 +116,7 @@ fn tukey(residuals: &[f64]) -> Vec<f64> {
 
 /// Offset and slope of the repeated median line, which nearly half of the positions cannot move far
 /// (A. Siegel, Robust regression using repeated medians, Biometrika 69, 1982).
-fn repeated_median(places: &[Place]) -> Vector2<f64> {
+fn repeated_median(places: &[EdgePoint]) -> Vector2<f64> {
     let slopes = places.iter().map(|from| {
         let others = places.iter().filter(|to| (to.along - from.along).abs() > 1e-9);
         median(others.map(|to| (to.depth - from.depth) / (to.along - from.along)).collect())
@@ -140,8 +142,8 @@ fn residual_correlation(weights: &[f64], residuals: &[f64]) -> f64 {
     (1.0 + r) / (1.0 - r)
 }
 
-/// Where the lines of two neighbouring sides cross, and the standard deviation along each axis, pixels.
-/// `None` where they are nearly parallel.
+/// Where the lines of two neighbouring sides cross, and the standard deviation along each axis,
+/// pixels. `None` where they are nearly parallel.
 pub(super) fn cross(
     before: (&SideFrame, &EdgeLine),
     after: (&SideFrame, &EdgeLine),
@@ -159,8 +161,8 @@ pub(super) fn cross(
     Some((ViewPixel(at), variance.sqrt().hypot(MIN_SIGMA_PX)))
 }
 
-/// The line's point next to the side's first corner, and the vector from there to the point next to the
-/// second corner.
+/// The line's point next to the side's first corner, and the vector from there to the point next to
+/// the second corner.
 fn ends((side, line): (&SideFrame, &EdgeLine)) -> (Vector2<f64>, Vector2<f64>) {
     let at = |along: f64| {
         side.middle + side.along * (side.half * along) + side.inward * line.depth(along)
@@ -173,13 +175,13 @@ mod tests {
     #![allow(clippy::unwrap_used, clippy::expect_used)]
     use super::*;
 
-    fn place(along: f64, depth: f64) -> Place {
-        Place { along, depth, weight: 1.0 }
+    fn place(along: f64, depth: f64) -> EdgePoint {
+        EdgePoint { along, depth, weight: 1.0 }
     }
 
     #[test]
     fn an_occluded_third_of_a_side_is_rejected() {
-        let places: Vec<Place> = (0..15)
+        let places: Vec<EdgePoint> = (0..15)
             .map(|k| {
                 let along = f64::from(k) / 7.0 - 1.0;
                 let scatter = 0.02 * f64::from(k * 7 % 5 - 2);
@@ -195,7 +197,7 @@ mod tests {
     #[test]
     fn positions_that_lie_on_no_line_are_refused() {
         let depths = [0.0, 4.0, -5.0, 3.0, -4.0, 6.0, -7.0, 2.0];
-        let places: Vec<Place> =
+        let places: Vec<EdgePoint> =
             (0u8..).zip(depths).map(|(k, depth)| place(f64::from(k) / 3.5 - 1.0, depth)).collect();
         assert!(fit(&places, Matrix2::identity()).is_none());
         assert!(fit(&places[..3], Matrix2::identity()).is_none());

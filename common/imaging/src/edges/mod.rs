@@ -1,29 +1,31 @@
 //! The corners of a marker, refined by its four edges and its print.
 //!
-//! OpenCV finds corners by a threshold or a gradient of *code values*. They lie inside the true square by
-//! 0.2 to 0.85 px. Here each corner is where two lines cross. Each line is fitted to the place where the
-//! radiance steps from the white quiet zone to the black border:
+//! OpenCV finds corners by a threshold or a gradient of *code values*. They lie inside the true
+//! square by 0.2 to 0.85 px. Here each corner is where two lines cross. Each line is fitted to the
+//! place where the radiance steps from the white quiet zone to the black border:
 //!
 //! 1. `approach` moves each side to the steepest fall of radiance.
-//! 2. `profile` samples the radiance across each side, in many places along it but away from the corners,
-//!    from within the quiet zone to a few cells deep.
-//! 3. `model` fits the blurred print to all samples of all four sides. All sides share white and black. Each
-//!    direction has its own blur, because motion blurs one more than the other. Each edge has its own
-//!    position and slope. The marker was decoded, so the cells behind the edge are known. On small markers
-//!    the border is hardly wider than the blur, and an edge fitted as if the border had no end would be some
-//!    tenths of a pixel too far outside.
-//! 4. `line` fits a line to the edge's position in each profile, without outliers such as a propeller or
-//!    another edge. The scatter of the positions gives the covariance.
+//! 2. `profile` samples the radiance across each side, in many places along it but away from the
+//!    corners, from within the quiet zone to a few cells deep.
+//! 3. `model` fits the blurred print to all samples of all four sides. All sides share white and
+//!    black. Each direction has its own blur, because motion blurs one more than the other. Each
+//!    edge has its own position and slope. The marker was decoded, so the cells behind the edge are
+//!    known. On small markers the border is hardly wider than the blur, and an edge fitted as if
+//!    the border had no end would be some tenths of a pixel too far outside.
+//! 4. `line` fits a line to the edge's position in each profile, without outliers such as a
+//!    propeller or another edge. The scatter of the positions gives the covariance.
 //!
-//! Steps 2 to 4 are done two or three times, because the lines tell better where to sample and where the
-//! cells are. The first time, `model` takes only a few steps.
+//! Steps 2 to 4 are done two or three times, because the lines tell better where to sample and
+//! where the cells are. The first time, `model` takes only a few steps.
 //!
 //! Where light differs from place to place, `level` brings the profiles to one light before step 3
 //! ([`Lighting::Uneven`]).
 //!
-//! 5. `whole` fits all cells of the print to the pixels, starting from these corners ([`Effort::WholePrint`]).
+//! 5. `whole` fits all cells of the print to the pixels, starting from these corners
+//!    ([`CornerFit::WholePrint`]).
 
 mod approach;
+mod corners;
 mod drawing;
 mod grain;
 mod level;
@@ -40,38 +42,21 @@ use crate::image::LumaImage;
 use crate::light::LinearLight;
 use crate::square::{SquareInView, mean_side_px};
 pub use approach::approach_corners;
+pub use corners::RefinedCorners;
+use corners::{agree, is_near, without_whole};
 pub use grain::Grain;
 use line::EdgeLine;
 pub use print::MarkerPrint;
 use profile::Side;
-use whole::State;
-
-/// Corners of a marker's black square, with their precision.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct RefinedCorners {
-    /// The corners, in the order of the guesses.
-    pub corners_in_view: [ViewPixel; 4],
-    /// Standard deviation of each corner along either axis, pixels.
-    pub sigmas_px: [f64; 4],
-    /// Standard deviation of the blur across the first and third side, then across the second and fourth,
-    /// pixels.
-    pub blur_px: [f64; 2],
-    /// Radiance of the quiet zone.
-    pub white: f64,
-    /// Radiance of the border.
-    pub black: f64,
-    /// Robust standard deviation of the radiance from the blurred print, as a share of white minus black.
-    pub residual_sigma: f64,
-}
 
 /// Markers with shorter sides are not refined, pixels: their border is hardly wider than a pixel.
 pub const MIN_SIDE_PX: f64 = 8.0;
 
-/// Refines the corners of a black square on white, from a guess that is off by about 1.5 px at most.
+/// Refines the corners of a black square on white, from a guess that is off by up to 1.5 px.
 ///
-/// `guess_in_view` is in ArUco's order: clockwise from the printed top left. `None` where the marker is
-/// smaller than [`MIN_SIDE_PX`], is cut by the image's border, has too little contrast, has no four straight
-/// edges near the guess, or does not look like `print`.
+/// `guess_in_view` is in ArUco's order: clockwise from the printed top left. `None` where the
+/// marker is smaller than [`MIN_SIDE_PX`], is cut by the image's border, has too little contrast,
+/// has no four straight edges near the guess, or does not look like `print`.
 pub fn refine_corners(
     image: &LumaImage<'_>,
     light: &LinearLight,
@@ -79,7 +64,7 @@ pub fn refine_corners(
     print: &MarkerPrint,
     grain: Grain,
     lighting: Lighting,
-    effort: Effort,
+    effort: CornerFit,
 ) -> Option<RefinedCorners> {
     let size = mean_side_px(guess_in_view);
     // False for a NaN.
@@ -89,7 +74,7 @@ pub fn refine_corners(
     }
     let edges = by_edges(image, light, guess_in_view, print, lighting)?;
     let whole = match effort {
-        Effort::WholePrint if lighting == Lighting::Even => {
+        CornerFit::WholePrint if lighting == Lighting::Even => {
             by_whole_print(image, light, &edges, print, grain).filter(|whole| {
                 let is_near = is_near(&whole.corners_in_view, guess_in_view);
                 is_near && agree(whole, &edges, print)
@@ -114,7 +99,7 @@ fn by_edges(
 ) -> Option<RefinedCorners> {
     SquareInView::new(guess_in_view)?;
     let mut corners = approach_corners(image, light, guess_in_view, print.cells())?;
-    let mut before: Option<model::Fit> = None;
+    let mut before: Option<model::EdgeFit> = None;
     let mut refined: Option<RefinedCorners> = None;
     for _ in 0..3 {
         let blur = before.as_ref().map_or([profile::FIRST_BLUR_PX; 2], |fit| fit.blur);
@@ -147,8 +132,8 @@ fn by_edges(
     refined.filter(|refined| is_near(&refined.corners_in_view, guess_in_view))
 }
 
-/// Whether the edges that start from the corners by the whole print lead back to them. Where something hides a corner, the
-/// edges from the outline may have led to what hides it.
+/// Whether the edges that start from the corners by the whole print lead back to them. Where
+/// something hides a corner, the edges from the outline may have led to what hides it.
 fn are_edges_of(
     whole: &RefinedCorners,
     image: &LumaImage<'_>,
@@ -166,34 +151,22 @@ pub enum Lighting {
     /// One white and one black everywhere.
     #[default]
     Even,
-    /// Shadows cross it: white and black differ from place to place. Its edges alone are fitted, each place of them in
-    /// its own light.
+    /// Shadows cross it: white and black differ from place to place. Its edges alone are fitted,
+    /// each place of them in its own light.
     Uneven,
 }
 
 /// How much is fitted to refine corners.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum Effort {
+pub enum CornerFit {
     /// The four edges: enough as a start for aligning the whole body.
     Edges,
-    /// The edges, then the whole print: many times the cost, for corners that nothing refines later.
+    /// The edges, then the whole print, at many times the cost: corners are final.
     #[default]
     WholePrint,
 }
 
-/// Standard deviation of corners by edges alone, larger than their scatter says. The whole print did not
-/// fit: a part of it is occluded, or its cells are hardly wider than the blur.
-fn without_whole(sigma_px: f64, edges: &RefinedCorners, print: &MarkerPrint) -> f64 {
-    let corners = &edges.corners_in_view;
-    let narrowest = (0..4)
-        .map(|k| (corners[(k + 1) % 4].0 - corners[k].0).norm())
-        .fold(f64::INFINITY, f64::min)
-        / print.cells() as f64;
-    let blur = edges.blur_px[0].max(edges.blur_px[1]);
-    (2.0 * sigma_px).hypot(0.5 * (blur / narrowest).powi(2).min(1.0))
-}
-
-/// The corners by the whole print, starting from those by the edges. `None` where the print does not fit.
+/// The corners by the whole print, from those by the edges. `None` where it does not fit.
 fn by_whole_print(
     image: &LumaImage<'_>,
     light: &LinearLight,
@@ -201,16 +174,11 @@ fn by_whole_print(
     print: &MarkerPrint,
     grain: Grain,
 ) -> Option<RefinedCorners> {
-    let start = State::new(&edges.corners_in_view, edges.blur_px, edges.white, edges.black)?;
-    let fit = whole::fit(image, light, &start, print, grain)?;
-    let residual_sigma = fit.noise / (fit.white - fit.black);
-    (0.0..=MAX_RESIDUAL_SIGMA).contains(&residual_sigma).then_some(RefinedCorners {
-        corners_in_view: fit.corners,
-        sigmas_px: fit.sigmas_px.map(|sigma_px| sigma_px.hypot(MIN_SIGMA_PX)),
-        blur_px: fit.blur,
-        white: fit.white,
-        black: fit.black,
-        residual_sigma: residual_sigma.max(edges.residual_sigma),
+    let whole = whole::fit(image, light, edges, print, grain)?;
+    (0.0..=MAX_RESIDUAL_SIGMA).contains(&whole.residual_sigma).then_some(RefinedCorners {
+        sigmas_px: whole.sigmas_px.map(|sigma_px| sigma_px.hypot(MIN_SIGMA_PX)),
+        residual_sigma: whole.residual_sigma.max(edges.residual_sigma),
+        ..whole
     })
 }
 
@@ -224,7 +192,7 @@ const MAX_RESIDUAL_SIGMA: f64 = 0.25;
 const MIN_SIGMA_PX: f64 = 0.003;
 
 /// Fits the line along each side.
-fn fit_lines(sides: &[Side; 4], fit: &model::Fit) -> Option<[EdgeLine; 4]> {
+fn fit_lines(sides: &[Side; 4], fit: &model::EdgeFit) -> Option<[EdgeLine; 4]> {
     let line = |k: usize| {
         let line = line::fit(&model::places(&sides[k], fit, k), fit.line_covariance(k))?;
         let blur = fit.blur[k % 2];
@@ -233,18 +201,18 @@ fn fit_lines(sides: &[Side; 4], fit: &model::Fit) -> Option<[EdgeLine; 4]> {
     Some([line(0)?, line(1)?, line(2)?, line(3)?])
 }
 
-/// Standard deviation of an edge's position by errors of the model, as a share of the blur. Compression,
-/// sharpening and a point spread that is not Gaussian shift an edge in all profiles alike.
+/// Standard deviation of an edge's position by errors of the model, as a share of the blur:
+/// compression, sharpening and the shape of the blur shift an edge in all profiles alike.
 const MODEL_SHARE: f64 = 0.03;
 
-/// Standard deviation of an edge's position because its neighbours are blurred into it, pixels: the border's
-/// inner edge, and what lies beyond the quiet zone. All profiles share this error, so it is not in their
-/// scatter. Measured on rendered markers of 14 to 60 px (`tests/corners.rs`).
+/// Standard deviation of an edge's position because its neighbours are blurred into it, pixels: the
+/// border's inner edge, and what lies beyond the quiet zone. All profiles share this error, so it
+/// is not in their scatter. Measured on rendered markers of 14 to 60 px (`tests/corners.rs`).
 fn crowding(blur: f64, border: f64) -> f64 {
     (blur / border).powf(3.5)
 }
 
-/// The corners, and the standard deviation of each, pixels. Corner k is where side k - 1 and side k cross.
+/// The corners with their standard deviations, pixels. Corner k joins sides k - 1 and k.
 fn cross(sides: &[Side; 4], lines: &[EdgeLine; 4]) -> Option<[(ViewPixel, f64); 4]> {
     let corner = |k: usize| {
         let before = (k + 3) % 4;
@@ -253,25 +221,6 @@ fn cross(sides: &[Side; 4], lines: &[EdgeLine; 4]) -> Option<[(ViewPixel, f64); 
     Some([corner(0)?, corner(1)?, corner(2)?, corner(3)?])
 }
 
-/// Where the border is wider than this many blurs, each place of an edge shows white and black by itself, and is fitted in
-/// its own light however the marker is lit.
+/// Where the border is wider than this many blurs, each place of an edge shows white and black by
+/// itself, and is fitted in its own light however the marker is lit.
 const LEVEL_BLURS: f64 = 4.0;
-
-/// Corners by the edges and by the whole print agree up to this many standard deviations.
-const AGREED_SIGMAS: f64 = 5.0;
-
-/// Whether corners by the whole print are those by the edges. Where they are not, a shadow or an object spoils the whole.
-fn agree(whole: &RefinedCorners, edges: &RefinedCorners, print: &MarkerPrint) -> bool {
-    (0..4).all(|k| {
-        let apart = (whole.corners_in_view[k].0 - edges.corners_in_view[k].0).norm();
-        let by_edges_px = without_whole(edges.sigmas_px[k], edges, print);
-        apart <= AGREED_SIGMAS * whole.sigmas_px[k].hypot(by_edges_px)
-    })
-}
-
-/// Whether the corners are near enough to the guess to be the same ones.
-fn is_near(corners: &[ViewPixel; 4], guess: &[ViewPixel; 4]) -> bool {
-    let limit = 3.0 + 0.05 * mean_side_px(guess);
-    corners.iter().zip(guess).all(|(a, b)| (a.0 - b.0).norm() <= limit)
-        && SquareInView::new(corners).is_some()
-}

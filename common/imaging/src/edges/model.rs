@@ -1,21 +1,22 @@
 //! Fits the blurred print to the samples of all four sides at once.
 //!
-//! Along a profile, the print changes from white to black at its edge e. At the depths D_j behind the edge it
-//! changes by m_j of the way from black B to white W. Blurred by a Gaussian of standard deviation s, the
-//! radiance at depth x is
+//! Along a profile, the print changes from white to black at its edge e. At the depths D_j behind
+//! the edge it changes by m_j of the way from black B to white W. Blurred by a Gaussian of standard
+//! deviation s, the radiance at depth x is
 //!
 //! ```text
 //! I(x) = B + (W - B) (1 + sum over j of m_j F((x - e - D_j)/s))
 //! ```
 //!
-//! F is the Gaussian distribution function, truncated at 3.6 standard deviations (`crate::gaussian`). The edge
-//! of side k lies at e = offset + slope * along. There are twelve unknowns: offset and slope of four sides, the
-//! blur of two directions, W and B. They are found by Gauss-Newton with Cauchy weights.
+//! F is the Gaussian distribution function, truncated at 3.6 standard deviations
+//! (`crate::gaussian`). The edge of side k lies at e = offset + slope * along. There are twelve
+//! unknowns: offset and slope of four sides, the blur of two directions, W and B. They are found by
+//! Gauss-Newton with Cauchy weights.
 
 use nalgebra::{Matrix2, SMatrix, SVector};
 
-use super::line::Place;
-use super::profile::{FIRST_BLUR_PX, Profile, Sample, Side};
+use super::line::EdgePoint;
+use super::profile::{EdgeProfile, FIRST_BLUR_PX, ProfileSample, Side};
 use crate::gaussian::{Gaussian, REACH};
 
 const UNKNOWNS: usize = 12;
@@ -23,19 +24,12 @@ const BLUR: usize = 8;
 const WHITE: usize = 10;
 const BLACK: usize = 11;
 
-/// When a fit ends, and when it is rejected.
-struct Limits {
-    /// Steps at most.
-    steps: usize,
-    /// A step shorter than this is the last, pixels.
-    converged_px: f64,
-    /// Largest residual sigma of a fit that is kept, as a share of the contrast.
-    max_residual_sigma: f64,
-}
-
-/// For the first fit, which only tells where to sample again.
-const COARSE: Limits = Limits { steps: 4, converged_px: 0.05, max_residual_sigma: 0.35 };
-const FINE: Limits = Limits { steps: 8, converged_px: 0.01, max_residual_sigma: 0.25 };
+/// Steps of a fit at most, of a first one, which only tells where to sample again, and of another.
+const MAX_STEPS: [usize; 2] = [4, 8];
+/// A step shorter than this is the last, pixels.
+const CONVERGED_PX: [f64; 2] = [0.05, 0.01];
+/// Largest residual sigma of a fit that is kept, as a share of the contrast.
+const MAX_RESIDUAL_SIGMA: [f64; 2] = [0.35, 0.25];
 /// Least radiance of white above black, share of nominal white.
 const MIN_CONTRAST: f64 = 0.01;
 /// Scale of Cauchy's weight function, standard deviations.
@@ -48,7 +42,7 @@ type Unknowns = SVector<f64, UNKNOWNS>;
 
 /// The fit to a marker's four sides.
 #[derive(Debug)]
-pub(super) struct Fit {
+pub(super) struct EdgeFit {
     unknowns: Unknowns,
     /// Blur of the first and third side, then of the second and fourth, pixels.
     pub blur: [f64; 2],
@@ -61,7 +55,7 @@ pub(super) struct Fit {
     covariance: Normal,
 }
 
-impl Fit {
+impl EdgeFit {
     /// Covariance of the offset and slope of side `k`, from the normal matrix, pixels squared.
     pub(super) fn line_covariance(&self, k: usize) -> Matrix2<f64> {
         self.covariance.fixed_view::<2, 2>(2 * k, 2 * k).into_owned()
@@ -69,7 +63,7 @@ impl Fit {
 }
 
 /// Share of white at one sample, and its derivatives by the edge's position and by the blur.
-pub(super) struct Share {
+pub(super) struct PrintShare {
     pub white: f64,
     by_edge: f64,
     by_blur: f64,
@@ -78,12 +72,12 @@ pub(super) struct Share {
 /// What the print has at `depth` of a profile, pixels, if its edge is at `edge`.
 pub(super) fn share(
     gaussian: Gaussian,
-    profile: &Profile,
+    profile: &EdgeProfile,
     depth: f64,
     edge: f64,
     blur: f64,
-) -> Share {
-    let mut share = Share { white: 1.0, by_edge: 0.0, by_blur: 0.0 };
+) -> PrintShare {
+    let mut share = PrintShare { white: 1.0, by_edge: 0.0, by_blur: 0.0 };
     for change in &profile.changes {
         let at = (depth - edge - change.depth) / blur;
         if at > f64::from(REACH) || change.white == 0.0 {
@@ -108,18 +102,18 @@ fn edge(unknowns: &Unknowns, k: usize, along: f64) -> f64 {
     unknowns[2 * k] + unknowns[2 * k + 1] * along
 }
 
-/// Calls `visit` with share and residual of each sample of a profile. Clipped samples below the model are left
-/// out, because the true radiance may be higher.
+/// Calls `visit` with share and residual of each sample of a profile. Clipped samples below the
+/// model are left out, because the true radiance may be higher.
 fn visit_samples(
     unknowns: &Unknowns,
     k: usize,
-    profile: &Profile,
-    mut visit: impl FnMut(&Share, f64),
+    profile: &EdgeProfile,
+    mut visit: impl FnMut(&PrintShare, f64),
 ) {
     let edge = edge(unknowns, k, profile.along);
     let blur = unknowns[BLUR + k % 2];
     let gaussian = Gaussian::get();
-    for &Sample { depth, radiance, is_clipped } in &profile.samples {
+    for &ProfileSample { depth, radiance, is_clipped } in &profile.samples {
         let share = share(gaussian, profile, depth, edge, blur);
         let model = unknowns[BLACK] + (unknowns[WHITE] - unknowns[BLACK]) * share.white;
         if !is_clipped || radiance > model {
@@ -133,9 +127,9 @@ fn weight(residual: f64, noise: f64) -> f64 {
     1.0 / (1.0 + (residual / (CAUCHY * noise)).powi(2))
 }
 
-/// Fits the model: coarsely without a fit `before`, and else starting from it. `None` without contrast, or
-/// where the model does not fit.
-pub(super) fn fit(sides: &[Side; 4], before: Option<&Fit>) -> Option<Fit> {
+/// Fits the model: coarsely without a fit `before`, and else starting from it. `None` without
+/// contrast, or where the model does not fit.
+pub(super) fn fit(sides: &[Side; 4], before: Option<&EdgeFit>) -> Option<EdgeFit> {
     let samples = || sides.iter().flat_map(|s| &s.profiles).flat_map(|p| &p.samples);
     let radiances: Vec<f64> = samples().map(|sample| sample.radiance).collect();
     let (white, black) = (quantile(radiances.clone(), 0.9)?, quantile(radiances, 0.1)?);
@@ -151,8 +145,8 @@ pub(super) fn fit(sides: &[Side; 4], before: Option<&Fit>) -> Option<Fit> {
     unknowns.fixed_rows_mut::<4>(BLUR).copy_from_slice(&first);
     let mut normal = Normal::zeros();
     let mut residuals = Vec::with_capacity(samples().count());
-    let limits = if before.is_some() { FINE } else { COARSE };
-    for _ in 0..limits.steps {
+    let stage = usize::from(before.is_some());
+    for _ in 0..MAX_STEPS[stage] {
         let (matrix, gradient) =
             normal_equations(sides, &unknowns, noise, (white, black), &mut residuals);
         let step = matrix.cholesky()?.solve(&gradient);
@@ -160,19 +154,19 @@ pub(super) fn fit(sides: &[Side; 4], before: Option<&Fit>) -> Option<Fit> {
         normal = matrix;
         // From the residuals before the step, for the weights of the next one.
         noise = noise_of(&mut residuals).max(0.003 * contrast);
-        if step.fixed_rows::<BLUR>(0).amax() < limits.converged_px {
+        if step.fixed_rows::<BLUR>(0).amax() < CONVERGED_PX[stage] {
             break;
         }
     }
     let (white, black) = (unknowns[WHITE], unknowns[BLACK]);
-    if white - black < MIN_CONTRAST || noise > limits.max_residual_sigma * (white - black) {
+    if white - black < MIN_CONTRAST || noise > MAX_RESIDUAL_SIGMA[stage] * (white - black) {
         return None;
     }
-    // Samples are denser than pixels, and pixels of a blurred image depend on their neighbours within about
-    // the blur. So this many samples carry the information of one.
+    // Samples are denser than pixels, and pixels of a blurred image depend on their neighbours
+    // within about the blur. So this many samples carry the information of one.
     let dependent = unknowns[BLUR].max(1.0) * unknowns[BLUR + 1].max(1.0);
     let density = (sides.iter().map(samples_per_pixel).fold(0.0, f64::max) * dependent).max(1.0);
-    Some(Fit {
+    Some(EdgeFit {
         blur: [unknowns[BLUR], unknowns[BLUR + 1]],
         white,
         black,
@@ -232,8 +226,8 @@ fn normal_equations(
             }
         }
     }
-    // Priors of about one sample's weight. They matter only where samples determine nothing: all white
-    // clipped, or an edge too short for its slope.
+    // Priors of about one sample's weight. They matter only where samples determine nothing: all
+    // white clipped, or an edge too short for its slope.
     let contrast = first_white - first_black;
     let mut hold = |index: usize, sigma: f64, residual: f64| {
         let weight = (noise / sigma).powi(2);
@@ -284,7 +278,7 @@ fn samples_per_pixel(side: &Side) -> f64 {
 }
 
 /// Position of the edge in each profile of side `k`, with the fitted blur, white and black.
-pub(super) fn places(side: &Side, fit: &Fit, k: usize) -> Vec<Place> {
+pub(super) fn places(side: &Side, fit: &EdgeFit, k: usize) -> Vec<EdgePoint> {
     let contrast = fit.white - fit.black;
     let places = side.profiles.iter().filter_map(|profile| {
         let (mut information, mut right) = (0.0, 0.0);
@@ -296,7 +290,7 @@ pub(super) fn places(side: &Side, fit: &Fit, k: usize) -> Vec<Place> {
         });
         // A profile without contrast does not determine the edge.
         let least = 0.02 * contrast * contrast / fit.blur[k % 2];
-        (information > least).then(|| Place {
+        (information > least).then(|| EdgePoint {
             along: profile.along,
             depth: edge(&fit.unknowns, k, profile.along) + (right / information).clamp(-2.0, 2.0),
             weight: information,

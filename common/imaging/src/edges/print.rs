@@ -2,30 +2,22 @@
 
 use crate::gaussian::Gaussian;
 
+/// Width of the quiet zone round the black square, cells. What lies beyond it is ignored.
+pub(super) const QUIET_ZONE_CELLS: f64 = 0.5;
+
 /// A printed marker: black and white cells in a black border of one cell, on white.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MarkerPrint {
     bits: usize,
     white: Vec<bool>,
-    quiet_zone_cells: f64,
 }
 
 impl MarkerPrint {
-    /// A marker of these cells (true is white), row by row from the printed top left, with a quiet zone of
-    /// half a cell. `None` unless the cells form a square of at least two by two.
+    /// A marker of these cells (true is white), row by row from the printed top left. `None` unless
+    /// the cells form a square of at least two by two.
     pub fn of_bits(white: &[bool]) -> Option<Self> {
         let bits = white.len().isqrt();
-        (bits >= 2 && bits * bits == white.len()).then(|| Self {
-            bits,
-            white: white.to_vec(),
-            quiet_zone_cells: 0.5,
-        })
-    }
-
-    /// Returns this marker with another quiet zone: the width of the white around the black square, in cells. What
-    /// lies beyond it is ignored.
-    pub fn with_quiet_zone(self, quiet_zone_cells: f64) -> Self {
-        Self { quiet_zone_cells, ..self }
+        (bits >= 2 && bits * bits == white.len()).then(|| Self { bits, white: white.to_vec() })
     }
 
     /// Cells along a side of the black square, its border included: 7 for `DICT_5X5_250`.
@@ -33,12 +25,7 @@ impl MarkerPrint {
         self.bits + 2
     }
 
-    /// Width of the quiet zone, cells.
-    pub fn quiet_zone_cells(&self) -> f64 {
-        self.quiet_zone_cells
-    }
-
-    /// Whether a cell is white. (0, 0) is the border's top left cell. Everything outside the square is white.
+    /// Whether a cell is white. (0, 0) is the border's top left cell; all outside is white.
     pub fn is_white(&self, row: isize, column: isize) -> bool {
         let last = self.bits as isize + 1;
         let outside = row < 0 || column < 0 || row > last || column > last;
@@ -46,9 +33,9 @@ impl MarkerPrint {
         outside || (!border && self.white[(row as usize - 1) * self.bits + column as usize - 1])
     }
 
-    /// Share of white in `row` at `column`, blurred along the row by a Gaussian of standard deviation `blur`,
-    /// both in cells. Column 0 is the square's edge, 1 the border's inner edge. The marker is rotated clockwise
-    /// by `quarters` of a turn, so that another side is its top.
+    /// Share of white in `row` at `column`, blurred along the row by a Gaussian of standard
+    /// deviation `blur`, both in cells. Column 0 is the square's edge, 1 the border's inner edge.
+    /// The marker is rotated clockwise by `quarters` of a turn, so that another side is its top.
     pub(super) fn white_share(&self, quarters: usize, row: isize, column: f64, blur: f64) -> f64 {
         let last = self.bits as isize + 1;
         let cell = |column: isize| match quarters {

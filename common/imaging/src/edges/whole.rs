@@ -1,9 +1,9 @@
 //! Fits the whole print to the pixels.
 //!
-//! On a small marker, the position of an outer edge depends on what is blurred into it: the border's inner
-//! edge, and the unknown surroundings beyond the quiet zone. But the marker was decoded, so all of its cells
-//! are known. The edges between cells are as good as the outer ones, with nothing unknown behind them. The
-//! radiance of a pixel is
+//! On a small marker, the position of an outer edge depends on what is blurred into it: the
+//! border's inner edge, and the unknown surroundings beyond the quiet zone. But the marker was
+//! decoded, so all of its cells are known. The edges between cells are as good as the outer ones,
+//! with nothing unknown behind them. The radiance of a pixel is
 //!
 //! ```text
 //! I = B + (W - B) M + sum over the sides k of A_k F((d_k - q) / s_k)
@@ -18,27 +18,28 @@
 //! | s_k | standard deviation of the blur across side k |
 //! | F | Gaussian distribution function |
 //!
-//! There are seventeen unknowns: eight of the homography, three of the blur's covariance, W, B and four A_k.
-//! They are found by Gauss-Newton with Cauchy weights.
+//! There are seventeen unknowns: eight of the homography, three of the blur's covariance, W, B and
+//! four A_k. They are found by Gauss-Newton with Cauchy weights.
 
 mod sums;
 
 use flockeye_geometry::view::ViewPixel;
 use nalgebra::{Matrix2, Matrix3, SMatrix, SVector, Vector2, Vector3};
 
-use super::drawing::{Cells, Drawing, Grid};
+use super::corners::RefinedCorners;
+use super::drawing::{Drawing, Grid};
 use super::grain::Grain;
 use super::model::quantile;
-use super::print::MarkerPrint;
+use super::print::{MarkerPrint, QUIET_ZONE_CELLS};
 use super::profile::CLIPPED_CODE;
 use crate::gaussian::density_and_distribution;
 use crate::image::LumaImage;
 use crate::light::LinearLight;
 use crate::occluded::{least_residual, mark_disc, reach_px};
 use crate::square::SquareInView;
-use sums::{ROOM, Sums, UNKNOWNS, Unknowns};
+use sums::{ROOM, RobustSums, UNKNOWNS, Unknowns};
 
-/// The unknowns of the homography come first. They are those of a projective map of the square's own plane.
+/// The unknowns of the homography come first: of a map of the square's own plane.
 const PLACE: usize = 8;
 const BLUR: usize = 8;
 const WHITE: usize = 11;
@@ -53,8 +54,8 @@ const MIN_BLUR: f64 = 0.4;
 
 /// Values of the unknowns.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct State {
-    /// From the square's plane to the view. The square has its middle at the origin and sides of length 1.
+struct State {
+    /// From the square's plane, with its middle at the origin and sides of 1, to the view.
     view_from_square: Matrix3<f64>,
     /// Covariance of the blur, pixels squared.
     blur: Matrix2<f64>,
@@ -63,37 +64,20 @@ pub(super) struct State {
     beyond: [f64; 4],
 }
 
-/// The corners of a marker by its whole print.
-#[derive(Debug)]
-pub(super) struct WholeFit {
-    pub corners: [ViewPixel; 4],
-    /// Standard deviation of each corner along each axis, pixels.
-    pub sigmas_px: [f64; 4],
-    /// Standard deviation of the blur across the first and third side, then the second and fourth, pixels.
-    pub blur: [f64; 2],
-    pub white: f64,
-    pub black: f64,
-    /// Robust standard deviation of the residuals, radiance.
-    pub noise: f64,
-}
-
 /// Where more than this share of the print seems hidden, only the state can be wrong.
 const MAX_HIDDEN_SHARE: f64 = 0.5;
 
 const CORNERS: [(f64, f64); 4] = [(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)];
 
 impl State {
-    /// `blur` is the standard deviation across the first and third side, then the second and fourth, pixels.
-    pub(super) fn new(
-        corners: &[ViewPixel; 4],
-        blur: [f64; 2],
-        white: f64,
-        black: f64,
-    ) -> Option<Self> {
+    /// The print where the edges have its corners. `None` where these are no square.
+    fn of(edges: &RefinedCorners) -> Option<Self> {
         let to_unit = Matrix3::new(1.0, 0.0, 0.5, 0.0, 1.0, 0.5, 0.0, 0.0, 1.0);
-        let view_from_square = SquareInView::new(corners)?.view_from_square() * to_unit;
-        let [a, b] = blur.map(|blur| blur * blur);
+        let view_from_square =
+            SquareInView::new(&edges.corners_in_view)?.view_from_square * to_unit;
+        let [a, b] = edges.blur_px.map(|blur| blur * blur);
         let blur = Matrix2::from_diagonal_element((a + b) / 2.0);
+        let (white, black) = (edges.white, edges.black);
         Some(Self { view_from_square, blur, white, black, beyond: [0.0; 4] })
     }
 
@@ -151,8 +135,7 @@ fn cartesian(point: Vector3<f64>) -> Vector2<f64> {
     point.xy() / point.z
 }
 
-/// Derivatives by the eight unknowns of the homography, where `gradient` is the derivative by the square's
-/// point (p, q).
+/// Derivatives by the homography's unknowns; `gradient` is that by the square's point (p, q).
 fn by_place(gradient: Vector2<f64>, (p, q): (f64, f64)) -> [f64; PLACE] {
     let (by_p, by_q) = (gradient.x, gradient.y);
     let inwards = -(by_p * p + by_q * q);
@@ -160,10 +143,11 @@ fn by_place(gradient: Vector2<f64>, (p, q): (f64, f64)) -> [f64; PLACE] {
 }
 
 /// The pixels that a marker is fitted to.
-struct Scene<'a> {
+struct PrintView<'a> {
     image: &'a LumaImage<'a>,
     light: &'a LinearLight,
-    cells: Cells,
+    /// Cells of the print along a side.
+    cells: usize,
     grid: Grid,
     /// For each pixel of the grid whether something hides the print there. Empty: nothing does.
     hidden: Vec<bool>,
@@ -174,59 +158,60 @@ struct Scene<'a> {
     contrast: f64,
 }
 
-/// Fits the print. `None` where it does not fit, or too little of it is in the image.
+/// Fits the print, from its `edges`. `None` where it does not fit, or is cut by the image.
 pub(super) fn fit(
     image: &LumaImage<'_>,
     light: &LinearLight,
-    start: &State,
+    edges: &RefinedCorners,
     print: &MarkerPrint,
     grain: Grain,
-) -> Option<WholeFit> {
-    let cells = Cells::of(print);
-    let side = 1.0 / cells.count() as f64;
-    let reach = print.quiet_zone_cells().min(1.0) * side;
+) -> Option<RefinedCorners> {
+    let start = State::of(edges)?;
+    let cells = print.cells();
+    let side = 1.0 / cells as f64;
+    let reach = QUIET_ZONE_CELLS * side;
     let step = grain.step(start.blur.symmetric_eigenvalues().min().sqrt());
-    let grid = grid(image, start, reach, step)?;
-    let mut scene = Scene {
+    let grid = grid(image, &start, reach, step)?;
+    let mut view = PrintView {
         image,
         light,
         cells,
         grid,
         hidden: Vec::new(),
         reach,
-        quiet: (print.quiet_zone_cells() + QUIET_MARGIN_CELLS) * side,
+        quiet: (QUIET_ZONE_CELLS + QUIET_MARGIN_CELLS) * side,
         contrast: (start.white - start.black).max(1e-6),
     };
-    let mut drawing = Drawing::default();
-    let mut converged = converge(&scene, *start, 0.1 * scene.contrast, &mut drawing)?;
-    let mut sums = scene.sum(&converged.0, converged.1, &mut drawing, true)?;
-    scene.hidden = scene.hidden(&sums, converged);
-    if !scene.hidden.is_empty() {
-        converged = converge(&scene, converged.0, converged.1, &mut drawing)?;
-        sums = scene.sum(&converged.0, converged.1, &mut drawing, true)?;
+    let mut drawing = Drawing::of(print);
+    let mut converged = converge(&view, start, 0.1 * view.contrast, &mut drawing)?;
+    let mut sums = view.sum(&converged.0, converged.1, &mut drawing, true)?;
+    view.hidden = view.hidden(&sums, converged);
+    if !view.hidden.is_empty() {
+        converged = converge(&view, converged.0, converged.1, &mut drawing)?;
+        sums = view.sum(&converged.0, converged.1, &mut drawing, true)?;
     }
-    result(&scene, converged, &sums, grain)
+    result(&view, converged, &sums, grain)
 }
 
-/// Gauss-Newton from a state and a standard deviation of the residuals. Returns both at the end; `None` where it leads to no
-/// print.
+/// Gauss-Newton from a state and a standard deviation of the residuals. Returns both at the end;
+/// `None` where it leads to no print.
 fn converge(
-    scene: &Scene<'_>,
+    view: &PrintView<'_>,
     start: State,
     start_noise: f64,
     drawing: &mut Drawing,
 ) -> Option<(State, f64)> {
     let (mut state, mut noise) = (start, start_noise);
     let noise_of = |sizes: Vec<f64>| -> Option<f64> {
-        Some((1.4826 * quantile(sizes, 0.5)?).max(0.002 * scene.contrast))
+        Some((1.4826 * quantile(sizes, 0.5)?).max(0.002 * view.contrast))
     };
     for _ in 0..ITERATIONS {
-        let sums = scene.sum(&state, noise, drawing, false)?;
+        let sums = view.sum(&state, noise, drawing, false)?;
         let step = sums.normal().cholesky()?.solve(&sums.gradient);
         noise = noise_of(sums.sizes)?;
         let next = state.after(&step);
         let is_blurred =
-            next.blur.symmetric_eigenvalues().min().sqrt() > MIN_BLUR * scene.grid.step as f64;
+            next.blur.symmetric_eigenvalues().min().sqrt() > MIN_BLUR * view.grid.step as f64;
         let moved = |(a, b): (&ViewPixel, &ViewPixel)| (a.0 - b.0).norm();
         let before = state.corners();
         let most = next.corners().iter().zip(&before).map(moved).fold(0.0, f64::max);
@@ -236,7 +221,7 @@ fn converge(
             return None;
         }
         state = next;
-        if most < CONVERGED * scene.grid.step as f64 {
+        if most < CONVERGED * view.grid.step as f64 {
             break;
         }
     }
@@ -245,15 +230,15 @@ fn converge(
 
 /// The corners at the end, with their covariance.
 fn result(
-    scene: &Scene<'_>,
+    view: &PrintView<'_>,
     (state, noise): (State, f64),
-    sums: &Sums,
+    sums: &RobustSums,
     grain: Grain,
-) -> Option<WholeFit> {
+) -> Option<RefinedCorners> {
     let correlation = sums.products.map(|product| product / sums.squares.max(1e-12));
     let inverse = sums.normal().cholesky()?.inverse();
     let covariance =
-        inverse * sums.scattered()? * inverse * grain.variance_factor(scene.grid.step, correlation);
+        inverse * sums.scattered()? * inverse * grain.variance_factor(view.grid.step, correlation);
     let place: SMatrix<f64, PLACE, PLACE> =
         covariance.fixed_view::<PLACE, PLACE>(0, 0).into_owned();
     let sigmas_px = CORNERS.map(|at| {
@@ -272,23 +257,23 @@ fn result(
         (state.blur * normal).dot(&normal).sqrt()
     });
     let crowding = (0..2).map(|k| {
-        let cell = scene.pixels_per_side(&state)[k] / scene.cells.count() as f64;
+        let cell = view.pixels_per_side(&state)[k] / view.cells as f64;
         CROWDING * across[k] * (across[k] / cell).powi(2)
     });
     let crowding = crowding.fold(0.0, f64::max);
-    is_finite.then(|| WholeFit {
-        corners: state.corners(),
+    is_finite.then(|| RefinedCorners {
+        corners_in_view: state.corners(),
         sigmas_px: sigmas_px.map(|sigma_px| sigma_px.hypot(crowding)),
-        blur: across,
+        blur_px: across,
         white: state.white,
         black: state.black,
-        noise,
+        residual_sigma: noise / (state.white - state.black),
     })
 }
 
-/// The surroundings beyond the quiet zone are modelled coarsely. They shift corners by this share of the blur
-/// where a cell is as wide as the blur, and by less with the square of the ratio where it is wider. Measured on
-/// rendered markers (`tests/corners.rs`).
+/// The surroundings beyond the quiet zone are modelled coarsely. They shift corners by this share
+/// of the blur where a cell is as wide as the blur, and by less with the square of the ratio where
+/// it is wider. Measured on rendered markers (`tests/corners.rs`).
 const CROWDING: f64 = 0.04;
 
 /// The quiet zone may be wider than stated by this, because prints are cut generously.
@@ -311,22 +296,28 @@ fn grid(image: &LumaImage<'_>, state: &State, reach: f64, step: usize) -> Option
     Some(Grid { left, top, columns, rows, step })
 }
 
-impl Scene<'_> {
-    /// Sums over the pixels at a state. With `scatter`, also the products that the covariance needs. `None`
-    /// where too few pixels are left.
-    fn sum(&self, state: &State, noise: f64, drawing: &mut Drawing, scatter: bool) -> Option<Sums> {
+impl PrintView<'_> {
+    /// Sums over the pixels at a state. With `scatter`, also the products that the covariance
+    /// needs. `None` where too few pixels are left.
+    fn sum(
+        &self,
+        state: &State,
+        noise: f64,
+        drawing: &mut Drawing,
+        scatter: bool,
+    ) -> Option<RobustSums> {
         let square_from_view = state.view_from_square.try_inverse()?;
-        let count = self.cells.count() as f64;
+        let count = self.cells as f64;
         let half = count / 2.0;
         let cells_from_square = Matrix3::new(count, 0.0, half, 0.0, count, half, 0.0, 0.0, 1.0);
         let cells_from_view = cells_from_square * square_from_view;
-        let Grid { columns, rows, step, .. } = self.grid;
-        drawing.draw(&self.grid, &self.cells, &cells_from_view, &state.blur)?;
+        let Grid { columns, rows, .. } = self.grid;
+        drawing.draw(&self.grid, &cells_from_view, &state.blur)?;
         let contrast = state.white - state.black;
         let spread = (state.blur.trace() / 2.0).sqrt();
         // Distances of opposite sides in the view, pixels.
         let scale = self.pixels_per_side(state);
-        let mut sums = Sums::new(columns * rows, scatter);
+        let mut sums = RobustSums::new(columns * rows, scatter);
         let limit = 0.5 + self.reach;
         let mut above = vec![0.0; columns];
         for row in 0..rows {
@@ -367,19 +358,8 @@ impl Scene<'_> {
                 // Moving the print to the right darkens a pixel where white increases to the right.
                 let place = by_place(jacobian.transpose() * gradient * -contrast, (p, q));
                 values[..PLACE].copy_from_slice(&place);
-                // The heat equation: adding to a Gaussian's covariance adds half the curvature.
-                let over = contrast / (4.0 * step as f64);
-                let across = (k - usize::from(column > 0), k + usize::from(column + 1 < columns));
-                let down = (
-                    if row > 0 { k - columns } else { k },
-                    if row + 1 < rows { k + columns } else { k },
-                );
-                let slope = |plane: &[f32], (from, to): (usize, usize)| {
-                    f64::from(plane[to] - plane[from]) * over
-                };
-                values[BLUR] = slope(&drawing.by_x, across);
-                values[BLUR + 1] = 2.0 * slope(&drawing.by_x, down);
-                values[BLUR + 2] = slope(&drawing.by_y, down);
+                let by_blur = self.by_blur(drawing, column, row, contrast);
+                values[BLUR..WHITE].copy_from_slice(&by_blur);
                 values[WHITE] = white;
                 values[BLACK] = 1.0 - white;
                 let weighted = sums.add(k, &values, last, residual, noise);
@@ -393,7 +373,28 @@ impl Scene<'_> {
         if sums.sizes.len() < 3 * UNKNOWNS {
             return None;
         }
-        // Priors of about one pixel's weight. They matter only where the pixels determine nothing.
+        self.add_priors(&mut sums, state, noise);
+        Some(sums)
+    }
+
+    /// Derivatives of a grid point's radiance by the three unknowns of the blur.
+    #[inline(always)]
+    fn by_blur(&self, drawing: &Drawing, column: usize, row: usize, contrast: f64) -> [f64; 3] {
+        let Grid { columns, rows, step, .. } = self.grid;
+        let k = row * columns + column;
+        // The heat equation: adding to a Gaussian's covariance adds half the curvature.
+        let over = contrast / (4.0 * step as f64);
+        let across = (k - usize::from(column > 0), k + usize::from(column + 1 < columns));
+        let down =
+            (if row > 0 { k - columns } else { k }, if row + 1 < rows { k + columns } else { k });
+        let slope =
+            |plane: &[f32], (from, to): (usize, usize)| f64::from(plane[to] - plane[from]) * over;
+        [slope(&drawing.by_x, across), 2.0 * slope(&drawing.by_x, down), slope(&drawing.by_y, down)]
+    }
+
+    /// Adds priors of a pixel's weight. They matter only where pixels determine nothing.
+    fn add_priors(&self, sums: &mut RobustSums, state: &State, noise: f64) {
+        let spread = (state.blur.trace() / 2.0).sqrt();
         let mut hold = |index: usize, sigma: f64, residual: f64| {
             sums.hold(index, (noise / sigma).powi(2), residual);
         };
@@ -408,12 +409,12 @@ impl Scene<'_> {
         for side in 0..4 {
             hold(BEYOND + side, 0.5 * self.contrast, -state.beyond[side]);
         }
-        Some(sums)
     }
 
-    /// For each pixel of the grid whether something hides the print there, with the soft edge of what does. Empty where
-    /// nothing does, or where so much would be hidden that only the state can be wrong.
-    fn hidden(&self, sums: &Sums, (state, noise): (State, f64)) -> Vec<bool> {
+    /// For each pixel of the grid whether something hides the print there, with the soft edge of
+    /// what does. Empty where nothing does, or where so much would be hidden that only the state
+    /// can be wrong.
+    fn hidden(&self, sums: &RobustSums, (state, noise): (State, f64)) -> Vec<bool> {
         let least = least_residual(noise, state.white);
         let blur = (state.blur.trace() / 2.0).sqrt() / self.grid.step as f64;
         let reach = reach_px(blur) as usize;

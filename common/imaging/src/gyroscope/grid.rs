@@ -11,37 +11,27 @@ use crate::sphere::SphereImage;
 pub const COLUMNS: usize = 480;
 /// Levels, each half as wide as the one before.
 pub const LEVELS: usize = 3;
-/// Camera pixels that are averaged for one of the finest level where the camera is not equirectangular:
-/// along either side.
+/// Camera pixels that are averaged for one of the finest level where the camera is not
+/// equirectangular: along either side.
 const SAMPLES: usize = 4;
 /// Blocks of at least so many rows are averaged over every other one.
 const MANY_ROWS: usize = 8;
 
-/// Nothing below this latitude is averaged, degrees: points are taken from above 40 degrees below the horizon
-/// ([`super::points`]), and turn by less than the rest between two frames.
+/// Nothing below this latitude is averaged, degrees: points are taken from above 40 degrees below
+/// the horizon ([`super::points`]), and turn by less than the rest between two frames.
 const LOWEST_DEG: f64 = -65.0;
 
-/// One level: code values by row from the zenith down and by column, as in an equirectangular image.
+/// One level: code values by row from the zenith down, as in an equirectangular image.
 #[derive(Debug, Clone)]
 pub struct Level {
-    columns: usize,
-    rows: usize,
+    pub(super) columns: usize,
+    pub(super) rows: usize,
     values: Vec<f32>,
 }
 
 impl Level {
     fn new(columns: usize, values: Vec<f32>) -> Self {
         Self { columns, rows: columns / 2, values }
-    }
-
-    /// Columns.
-    pub fn columns(&self) -> usize {
-        self.columns
-    }
-
-    /// Rows.
-    pub fn rows(&self) -> usize {
-        self.rows
     }
 
     /// The angle between two rows, radians.
@@ -90,19 +80,6 @@ impl Level {
     }
 }
 
-/// A frame at all levels, the finest first.
-#[derive(Debug, Clone)]
-pub struct Pyramid {
-    levels: Vec<Level>,
-}
-
-impl Pyramid {
-    /// The levels, the finest first.
-    pub fn levels(&self) -> &[Level] {
-        &self.levels
-    }
-}
-
 /// The direction of a pixel of a level with so many columns.
 pub fn direction(columns: usize, pixel: usize) -> Ray {
     let (row, column) = ((pixel / columns) as f64, (pixel % columns) as f64);
@@ -119,10 +96,12 @@ fn at(columns: usize, column: f64, row: f64) -> Ray {
 
 /// Columns of cells, in which points are taken together; half as many rows.
 pub const CELL_COLUMNS: usize = 48;
+/// All cells.
+pub const CELLS: usize = CELL_COLUMNS * CELL_COLUMNS / 2;
 
 /// Where a pixel is on the sphere.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Place {
+pub struct PixelPlace {
     /// Its direction in the camera's frame.
     pub direction: Vector3<f32>,
     /// Cosine of its latitude.
@@ -131,7 +110,7 @@ pub struct Place {
     pub cell: usize,
 }
 
-impl Place {
+impl PixelPlace {
     fn of(ray: &Ray) -> Self {
         let share = 0.5 - ray.y.atan2(ray.x) / std::f64::consts::TAU;
         let column = ((share * CELL_COLUMNS as f64) as usize).min(CELL_COLUMNS - 1);
@@ -151,10 +130,10 @@ impl Place {
 pub struct Sampler {
     /// Whether rows and columns of the camera are blocks of the level's.
     block: Option<usize>,
-    /// Otherwise, for each pixel of the level, those of the camera: offsets are taken with its stride.
+    /// Otherwise, for each pixel of the level, columns and rows of the camera's pixels.
     table: Vec<[(u32, u32); SAMPLES * SAMPLES]>,
     /// For each level its pixels' directions; `None` where the camera sees nothing.
-    directions: Vec<Vec<Option<Place>>>,
+    directions: Vec<Vec<Option<PixelPlace>>>,
 }
 
 impl Sampler {
@@ -164,7 +143,7 @@ impl Sampler {
         let of_level = |columns: usize| {
             (0..columns * columns / 2)
                 .map(|pixel| Some(direction(columns, pixel)).filter(is_seen))
-                .map(|ray| Some(Place::of(&ray?)))
+                .map(|ray| Some(PixelPlace::of(&ray?)))
                 .collect()
         };
         let directions = (0..LEVELS).map(|level| of_level(COLUMNS >> level)).collect();
@@ -180,14 +159,14 @@ impl Sampler {
         Self { block: None, table, directions }
     }
 
-    /// The place of a pixel of the level with so many columns. `None` where the camera sees nothing.
-    pub fn place(&self, columns: usize, pixel: usize) -> Option<Place> {
+    /// The place of a pixel of the level with so many columns. `None` if it is not seen.
+    pub fn place(&self, columns: usize, pixel: usize) -> Option<PixelPlace> {
         let level = (COLUMNS / columns).trailing_zeros() as usize;
         self.directions.get(level)?.get(pixel).copied().flatten()
     }
 
-    /// A frame at all levels.
-    pub fn pyramid(&self, frame: &SphereImage<'_>) -> Pyramid {
+    /// A frame at all levels, the finest first.
+    pub fn pyramid(&self, frame: &SphereImage<'_>) -> Vec<Level> {
         let finest = match self.block {
             Some(side) => averaged(frame, side),
             None => self.looked_up(frame),
@@ -197,7 +176,7 @@ impl Sampler {
             let next = levels[levels.len() - 1].halved();
             levels.push(next);
         }
-        Pyramid { levels }
+        levels
     }
 
     fn looked_up(&self, frame: &SphereImage<'_>) -> Vec<f32> {
@@ -226,8 +205,8 @@ fn samples(camera: &Camera, pixel: usize) -> [(u32, u32); SAMPLES * SAMPLES] {
     })
 }
 
-/// Averages blocks of `side` x `side` pixels, of which every other row is enough where there are many. Rows
-/// below [`LOWEST_DEG`] are not read: they are as the last one above.
+/// Averages blocks of `side` x `side` pixels, of which every other row is enough where there are
+/// many. Rows below [`LOWEST_DEG`] are not read: they are as the last one above.
 fn averaged(frame: &SphereImage<'_>, side: usize) -> Vec<f32> {
     let (pixels, stride) = (frame.pixels(), frame.stride());
     let width = COLUMNS * side;

@@ -8,7 +8,7 @@ pub(super) const UNKNOWNS: usize = 8;
 pub(super) type Gradient = SVector<f64, UNKNOWNS>;
 type Matrix8 = SMatrix<f64, UNKNOWNS, UNKNOWNS>;
 
-/// Sums over points. Single precision is enough for some points, and several of them fit into a register.
+/// Sums over points, of some in single precision: several fit into a register.
 #[derive(Debug, Clone)]
 pub(super) struct NormalEquations {
     normal: Matrix8,
@@ -21,8 +21,8 @@ pub(super) struct NormalEquations {
 /// Points that are summed in single precision.
 const PARTIAL: usize = 256;
 
-/// Priors: translation in distances of the scene, offset in code values, gain. They matter only where
-/// there is hardly any texture.
+/// Priors: translation in distances of the scene, offset in code values, gain. They matter only
+/// where there is hardly any texture.
 const PRIOR_SIGMAS: [f64; UNKNOWNS] = [1.0, 1.0, 1.0, 0.3, 0.3, 0.3, 20.0, 0.3];
 
 impl NormalEquations {

@@ -2,96 +2,81 @@
 
 use nalgebra::Vector3;
 
-use super::grid::{COLUMNS, Level, Place, Sampler};
+use super::grid::{COLUMNS, Level, PixelPlace, Sampler};
 
 /// A frame with fewer points at each level says nothing.
 pub const MIN_POINTS: usize = 60;
-/// One point is taken of each block of so many pixels along a side, the one with the strongest gradient: on the
-/// finest level, and on the others.
+/// One point is taken of each block of so many pixels along a side, the one with the strongest
+/// gradient: on the finest level, and on the others.
 const BLOCKS: [usize; 2] = [6, 4];
 /// Weaker gradients say nothing beside noise and compression, code values per pixel.
 const MIN_GRADIENT: f32 = 1.5;
 /// Columns are too narrow beyond this latitude, as a sine.
 const MAX_SIN_LATITUDE: f32 = 0.97;
-/// Nothing is taken from below 40 degrees under the horizon. There are the drone's own legs and propellers,
-/// and the ground, which is nearer than all else: its parallax pulls the rotation. On a rendered flight in
-/// wind this makes the median error 0.030 instead of 0.050 degrees a frame.
+/// Nothing is taken from below 40 degrees under the horizon. There are the drone's own legs and
+/// propellers, and the ground, which is nearer than all else: its parallax pulls the rotation. On a
+/// rendered flight in wind this makes the median error 0.030 instead of 0.050 degrees a frame.
 const MIN_SIN_LATITUDE: f32 = -0.643;
 
 /// A point of a frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Point {
-    /// Its place in the level.
+pub struct TexturePoint {
+    /// Its number in the level.
     pub pixel: usize,
     /// Its value.
     pub value: f32,
-    /// Its direction in the camera's frame.
-    pub direction: Vector3<f32>,
-    /// Cosine of its latitude.
-    pub cos_latitude: f32,
-    /// The cell that it is in.
-    pub cell: usize,
+    /// Where it is on the sphere.
+    pub place: PixelPlace,
     /// How the value changes with the direction, code values per radian, across the direction.
     pub gradient: Vector3<f32>,
 }
 
-/// The points of a level.
-#[derive(Debug, Clone, Default)]
-pub struct Points {
-    /// All of them.
-    pub all: Vec<Point>,
+/// The points of a level that the camera sees.
+pub fn points_of(level: &Level, sampler: &Sampler) -> Vec<TexturePoint> {
+    const { assert!(COLUMNS.is_multiple_of(BLOCKS[0]) && (COLUMNS / 4).is_multiple_of(BLOCKS[1])) };
+    match level.columns {
+        COLUMNS => of_blocks::<{ BLOCKS[0] }>(level, sampler),
+        _ => of_blocks::<{ BLOCKS[1] }>(level, sampler),
+    }
 }
 
-impl Points {
-    /// The points of a level that the camera sees.
-    pub fn of(level: &Level, sampler: &Sampler) -> Self {
-        const { assert!(COLUMNS.is_multiple_of(BLOCKS[0]) && (COLUMNS / 4).is_multiple_of(BLOCKS[1])) };
-        match level.columns() {
-            COLUMNS => Self::of_blocks::<{ BLOCKS[0] }>(level, sampler),
-            _ => Self::of_blocks::<{ BLOCKS[1] }>(level, sampler),
-        }
-    }
-
-    fn of_blocks<const BLOCK: usize>(level: &Level, sampler: &Sampler) -> Self {
-        let (columns, rows) = (level.columns(), level.rows());
-        let mut all = Vec::with_capacity(columns * rows / (BLOCK * BLOCK));
-        let mut squared = vec![0.0; BLOCK * columns];
-        // The strongest of the rows of a block, for each column.
-        let mut strongest = vec![0.0f32; columns];
-        let sin_latitude = |row: usize| {
-            ((0.5 - (row as f64 + 0.5) / rows as f64) * std::f64::consts::PI).sin() as f32
-        };
-        let is_used = |top: &usize| {
-            sin_latitude(*top) >= MIN_SIN_LATITUDE
-                && sin_latitude(top + BLOCK - 1) <= MAX_SIN_LATITUDE
-        };
-        for top in (1..rows - BLOCK).step_by(BLOCK).filter(is_used) {
-            strongest.fill(0.0);
-            for (row, squared) in (top..).zip(squared.chunks_exact_mut(columns)) {
-                squared_gradients(level, row, squared);
-                for (strongest, &squared) in strongest.iter_mut().zip(&*squared) {
-                    *strongest = strongest.max(squared);
-                }
-            }
-            let (blocks, _) = strongest.as_chunks::<BLOCK>();
-            for (left, block) in (0..).step_by(BLOCK).zip(blocks) {
-                let best = block.iter().copied().fold(0.0, f32::max);
-                if best <= MIN_GRADIENT.powi(2) {
-                    continue;
-                }
-                let column = left + block.iter().position(|&squared| squared == best).unwrap_or(0);
-                let is_best = |row: &usize| squared[row * columns + column] == best;
-                let row = top + (0..BLOCK).find(is_best).unwrap_or(0);
-                all.extend(point(level, sampler, row, column));
+fn of_blocks<const BLOCK: usize>(level: &Level, sampler: &Sampler) -> Vec<TexturePoint> {
+    let (columns, rows) = (level.columns, level.rows);
+    let mut all = Vec::with_capacity(columns * rows / (BLOCK * BLOCK));
+    let mut squared = vec![0.0; BLOCK * columns];
+    // The strongest of the rows of a block, for each column.
+    let mut strongest = vec![0.0f32; columns];
+    let sin_latitude =
+        |row: usize| ((0.5 - (row as f64 + 0.5) / rows as f64) * std::f64::consts::PI).sin() as f32;
+    let is_used = |top: &usize| {
+        sin_latitude(*top) >= MIN_SIN_LATITUDE && sin_latitude(top + BLOCK - 1) <= MAX_SIN_LATITUDE
+    };
+    for top in (1..rows - BLOCK).step_by(BLOCK).filter(is_used) {
+        strongest.fill(0.0);
+        for (row, squared) in (top..).zip(squared.chunks_exact_mut(columns)) {
+            squared_gradients(level, row, squared);
+            for (strongest, &squared) in strongest.iter_mut().zip(&*squared) {
+                *strongest = strongest.max(squared);
             }
         }
-        Self { all }
+        let (blocks, _) = strongest.as_chunks::<BLOCK>();
+        for (left, block) in (0..).step_by(BLOCK).zip(blocks) {
+            let best = block.iter().copied().fold(0.0, f32::max);
+            if best <= MIN_GRADIENT.powi(2) {
+                continue;
+            }
+            let column = left + block.iter().position(|&squared| squared == best).unwrap_or(0);
+            let is_best = |row: &usize| squared[row * columns + column] == best;
+            let row = top + (0..BLOCK).find(is_best).unwrap_or(0);
+            all.extend(point(level, sampler, row, column));
+        }
     }
+    all
 }
 
 /// The squared gradients of a row's pixels, code values per pixel.
 fn squared_gradients(level: &Level, row: usize, squared: &mut [f32]) {
-    let columns = level.columns();
+    let columns = level.columns;
     let (above, here, below) = (level.row(row - 1), level.row(row), level.row(row + 1));
     let of = |left: f32, right: f32, column: usize| {
         let (across, down) = (0.5 * (right - left), 0.5 * (below[column] - above[column]));
@@ -104,10 +89,11 @@ fn squared_gradients(level: &Level, row: usize, squared: &mut [f32]) {
     squared[columns - 1] = of(here[columns - 2], here[0], columns - 1);
 }
 
-fn point(level: &Level, sampler: &Sampler, row: usize, column: usize) -> Option<Point> {
-    let columns = level.columns();
+fn point(level: &Level, sampler: &Sampler, row: usize, column: usize) -> Option<TexturePoint> {
+    let columns = level.columns;
     let pixel = row * columns + column;
-    let Place { direction: d, cos_latitude, cell } = sampler.place(columns, pixel)?;
+    let place = sampler.place(columns, pixel)?;
+    let PixelPlace { direction: d, cos_latitude, .. } = place;
     if d.z.abs() > MAX_SIN_LATITUDE || d.z < MIN_SIN_LATITUDE {
         return None;
     }
@@ -121,5 +107,5 @@ fn point(level: &Level, sampler: &Sampler, row: usize, column: usize) -> Option<
     let east = Vector3::new(-d.y, d.x, 0.0) / cos_latitude;
     let north = d.cross(&east);
     let gradient = (east * (-across / cos_latitude) - north * down) * per_radian;
-    Some(Point { pixel, value: here[column], direction: d, cos_latitude, cell, gradient })
+    Some(TexturePoint { pixel, value: here[column], place, gradient })
 }

@@ -2,18 +2,17 @@
 
 use nalgebra::{Matrix3, SVector, UnitQuaternion, Vector3};
 
-use super::grid::{CELL_COLUMNS, Level, Pyramid};
+use super::grid::{CELL_COLUMNS, Level};
 use super::normal_equations::{Gradient, NormalEquations, UNKNOWNS};
-use super::own_airframe::OwnAirframe;
-use super::points::{MIN_POINTS, Point, Points};
+use super::own_airframe::AirframeCell;
+use super::points::{MIN_POINTS, TexturePoint};
 
 /// Steps at each level, the finest first, where nothing says how the camera turned.
 const STEPS: [usize; 3] = [3, 3, 5];
-/// Steps on each level where the turn is expected to within some tenths of a degree: coarse levels
-/// add little.
+/// Steps at each level where a turn is expected within tenths of a degree.
 const EXPECTED_STEPS: [usize; 3] = [2, 2, 0];
-/// The last rotation is a better start than the expected one if residuals are smaller by so much on the
-/// coarsest level: a clock that jumps expects too much.
+/// The last rotation is a better start than the expected one if residuals are smaller by so much on
+/// the coarsest level: a clock that jumps expects too much.
 const BETTER: f32 = 0.8;
 /// A shorter step ends a level, radians.
 const SHORT_RAD: f64 = 2e-5;
@@ -21,26 +20,25 @@ const SHORT_RAD: f64 = 2e-5;
 const MIN_SCALE: f32 = 0.3;
 /// Residuals beyond this many scales weigh half (Cauchy).
 const CAUCHY: f32 = 2.4;
-/// Things are nearer and farther than the one distance that the translation counts for. So much of the
-/// parallax may look like a rotation.
+/// Things are nearer and farther than the one distance that the translation counts for. So much of
+/// the parallax may look like a rotation.
 const PARALLAX_SHARE: f64 = 0.07;
-/// Standard deviation about each axis that interpolation on the grid leaves, in its pixels. In simulated
-/// gusts without parallax or texture that moves, errors were 0.02 degrees in the median, 0.027 of a pixel.
+/// Standard deviation about each axis that interpolation on the grid leaves, in its pixels. In
+/// simulated gusts without parallax or texture that moves, errors were 0.02 degrees in the median,
+/// 0.027 of a pixel.
 const GRID_SIGMA_PX: f64 = 0.018;
 /// Sectors whose sums count as independent: columns and rows.
 const SECTORS: [usize; 2] = [12, 6];
 
-/// What a fit leads to.
-#[derive(Debug, Clone)]
-pub struct RotationFit {
+/// The camera's rotation from one frame to the next.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct CameraRotation {
     /// Turns directions in the earlier camera's frame into the later one's.
-    pub rotation: UnitQuaternion<f64>,
+    pub later_from_earlier: UnitQuaternion<f64>,
     /// Covariance of the rotation vector in the later camera's frame, radians squared.
     pub covariance: Matrix3<f64>,
     /// Points that it rests on.
     pub points: usize,
-    /// Later less earlier values of all points of the finest level, code values.
-    pub residuals: Vec<f32>,
 }
 
 /// How a direction of the earlier frame comes into the later one.
@@ -53,31 +51,26 @@ struct Warp {
     gain: f32,
 }
 
-/// Where a rotation is looked for.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Start {
-    /// What something else expects.
-    pub expected: Option<UnitQuaternion<f64>>,
-    /// The rotation before.
-    pub last: UnitQuaternion<f64>,
-}
-
-/// The rotation from the points of an earlier frame to a later frame. `None` where there is too little
-/// texture.
+/// The rotation from the points of an earlier frame to a later frame, both at all levels, the
+/// finest first. `None` where there is too little texture.
+///
+/// The start is `expected`, which something else knows, or else the rotation before, `last`. Also
+/// returns the later less earlier code values of all points of the last level.
 pub fn rotation(
-    points: &[Points],
-    later: &Pyramid,
-    start: &Start,
-    airframe: &OwnAirframe,
-) -> Option<RotationFit> {
-    let (start, steps) = match start.expected {
-        Some(expected) if is_as_expected(points, later, &expected, &start.last, airframe) => {
+    points: &[Vec<TexturePoint>],
+    later: &[Level],
+    expected: Option<UnitQuaternion<f64>>,
+    last: UnitQuaternion<f64>,
+    airframe: &[AirframeCell],
+) -> Option<(CameraRotation, Vec<f32>)> {
+    let (start, steps) = match expected {
+        Some(expected) if is_as_expected(points, later, &expected, &last, airframe) => {
             (expected, EXPECTED_STEPS)
         }
-        _ => (start.last, STEPS),
+        _ => (last, STEPS),
     };
     let mut warp = Warp::of(start);
-    let levels = points.iter().zip(later.levels()).zip(steps);
+    let levels = points.iter().zip(later).zip(steps);
     let mut last = None;
     for ((points, level), steps) in levels.rev() {
         let counted = counted_of(points, airframe);
@@ -85,8 +78,8 @@ pub fn rotation(
             continue;
         }
         for _ in 0..steps {
-            let residuals = residuals(&points.all, &counted, level, &warp);
-            let (unknowns, _) = step(&points.all, &counted, &residuals)?;
+            let residuals = residuals(points, &counted, level, &warp);
+            let (unknowns, _) = step(points, &counted, &residuals)?;
             warp = warp.after(&unknowns);
             if unknowns.fixed_rows::<3>(0).norm() < SHORT_RAD {
                 break;
@@ -95,35 +88,35 @@ pub fn rotation(
         last = Some((points, level, counted));
     }
     let (points, level, counted) = last?;
-    let all: Vec<usize> = (0..points.all.len()).collect();
-    let residuals = residuals(&points.all, &all, level, &warp);
+    let all: Vec<usize> = (0..points.len()).collect();
+    let residuals = residuals(points, &all, level, &warp);
     let of_counted: Vec<f32> = counted.iter().map(|&index| residuals[index]).collect();
-    let pixel_rad = later.levels().first()?.pixel_rad();
-    let covariance = covariance(&points.all, &counted, &of_counted, &warp, pixel_rad)?;
-    Some(RotationFit { rotation: warp.rotation, covariance, points: counted.len(), residuals })
+    let pixel_rad = later.first()?.pixel_rad();
+    let covariance = covariance(points, &counted, &of_counted, &warp, pixel_rad)?;
+    let (later_from_earlier, points) = (warp.rotation, counted.len());
+    Some((CameraRotation { later_from_earlier, covariance, points }, residuals))
 }
 
 /// The points of a level that do not show the drone itself.
-fn counted_of(points: &Points, airframe: &OwnAirframe) -> Vec<usize> {
-    (0..points.all.len()).filter(|&index| !airframe.is_at(points.all[index].cell)).collect()
+fn counted_of(points: &[TexturePoint], airframe: &[AirframeCell]) -> Vec<usize> {
+    (0..points.len()).filter(|&index| !airframe[points[index].place.cell].is_airframe()).collect()
 }
 
-/// Whether the coarsest level agrees with the expected rotation about as well as with the last one, or
-/// better.
+/// Whether the coarsest level agrees with the expected rotation about as well as with the last.
 fn is_as_expected(
-    points: &[Points],
-    later: &Pyramid,
+    points: &[Vec<TexturePoint>],
+    later: &[Level],
     expected: &UnitQuaternion<f64>,
     last: &UnitQuaternion<f64>,
-    airframe: &OwnAirframe,
+    airframe: &[AirframeCell],
 ) -> bool {
-    let (Some(points), Some(level)) = (points.last(), later.levels().last()) else { return true };
+    let (Some(points), Some(level)) = (points.last(), later.last()) else { return true };
     let counted = counted_of(points, airframe);
     if counted.len() < MIN_POINTS {
         return true;
     }
     let scale = |start: &UnitQuaternion<f64>| {
-        scale_of(&residuals(&points.all, &counted, level, &Warp::of(*start)))
+        scale_of(&residuals(points, &counted, level, &Warp::of(*start)))
     };
     scale(last) > BETTER * scale(expected)
 }
@@ -148,7 +141,7 @@ impl Warp {
 }
 
 /// Later less earlier values of the counted points.
-fn residuals(points: &[Point], counted: &[usize], level: &Level, warp: &Warp) -> Vec<f32> {
+fn residuals(points: &[TexturePoint], counted: &[usize], level: &Level, warp: &Warp) -> Vec<f32> {
     #[cfg(target_arch = "x86_64")]
     if std::arch::is_x86_feature_detected!("avx2") {
         // SAFETY: the line above checked that the processor has AVX2.
@@ -160,7 +153,12 @@ fn residuals(points: &[Point], counted: &[usize], level: &Level, warp: &Warp) ->
 /// The portable code, compiled for AVX2. Its values are equal to the last bit.
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2")]
-fn residuals_avx2(points: &[Point], counted: &[usize], level: &Level, warp: &Warp) -> Vec<f32> {
+fn residuals_avx2(
+    points: &[TexturePoint],
+    counted: &[usize],
+    level: &Level,
+    warp: &Warp,
+) -> Vec<f32> {
     residuals_plain(points, counted, level, warp)
 }
 
@@ -168,14 +166,19 @@ fn residuals_avx2(points: &[Point], counted: &[usize], level: &Level, warp: &War
 const LANES: usize = 8;
 
 #[inline(always)]
-fn residuals_plain(points: &[Point], counted: &[usize], level: &Level, warp: &Warp) -> Vec<f32> {
+fn residuals_plain(
+    points: &[TexturePoint],
+    counted: &[usize],
+    level: &Level,
+    warp: &Warp,
+) -> Vec<f32> {
     let turn = warp.rotation.to_rotation_matrix().into_inner().cast::<f32>();
     let translation = warp.translation.cast::<f32>();
     let mut residuals = Vec::with_capacity(counted.len());
     for counted in counted.chunks(LANES) {
         let mut directions = [[0.0; LANES]; 3];
         for (lane, &index) in counted.iter().enumerate() {
-            let from = points[index].direction + translation;
+            let from = points[index].place.direction + translation;
             directions[0][lane] = from.x;
             directions[1][lane] = from.y;
             directions[2][lane] = from.z;
@@ -197,7 +200,7 @@ fn places(
     turn: &Matrix3<f32>,
     level: &Level,
 ) -> ([f32; LANES], [f32; LANES]) {
-    let (width, height) = (level.columns() as f32, level.rows() as f32);
+    let (width, height) = (level.columns as f32, level.rows as f32);
     let (mut columns, mut rows) = ([0.0; LANES], [0.0; LANES]);
     for lane in 0..LANES {
         let [x, y, z] = [0, 1, 2].map(|axis| directions[axis][lane]);
@@ -229,8 +232,8 @@ fn angle(y: f32, x: f32) -> f32 {
 
 /// How the value of a point changes with the unknowns.
 #[inline(always)]
-fn row(point: &Point) -> [f32; UNKNOWNS] {
-    let turn = point.direction.cross(&point.gradient);
+fn row(point: &TexturePoint) -> [f32; UNKNOWNS] {
+    let turn = point.place.direction.cross(&point.gradient);
     let g = point.gradient;
     [turn.x, turn.y, turn.z, g.x, g.y, g.z, 1.0, point.value]
 }
@@ -247,13 +250,13 @@ fn scale_of(residuals: &[f32]) -> f32 {
 
 /// Points near the poles stand for less of the sphere.
 #[inline(always)]
-fn weight(point: &Point, residual: f32, scale: f32) -> f32 {
-    point.cos_latitude / (1.0 + (residual / (CAUCHY * scale)).powi(2))
+fn weight(point: &TexturePoint, residual: f32, scale: f32) -> f32 {
+    point.place.cos_latitude / (1.0 + (residual / (CAUCHY * scale)).powi(2))
 }
 
 /// A step of the unknowns, and the inverse normal matrix.
 fn step(
-    points: &[Point],
+    points: &[TexturePoint],
     counted: &[usize],
     residuals: &[f32],
 ) -> Option<(Gradient, nalgebra::SMatrix<f64, UNKNOWNS, UNKNOWNS>)> {
@@ -268,12 +271,12 @@ fn step(
 /// The portable code, compiled for AVX2. Its sums are equal to the last bit.
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2")]
-fn sum_avx2(points: &[Point], counted: &[usize], residuals: &[f32]) -> NormalEquations {
+fn sum_avx2(points: &[TexturePoint], counted: &[usize], residuals: &[f32]) -> NormalEquations {
     sum_plain(points, counted, residuals)
 }
 
 #[inline(always)]
-fn sum_plain(points: &[Point], counted: &[usize], residuals: &[f32]) -> NormalEquations {
+fn sum_plain(points: &[TexturePoint], counted: &[usize], residuals: &[f32]) -> NormalEquations {
     let scale = scale_of(residuals);
     let mut equations = NormalEquations::new();
     for (&index, &residual) in counted.iter().zip(residuals) {
@@ -285,7 +288,7 @@ fn sum_plain(points: &[Point], counted: &[usize], residuals: &[f32]) -> NormalEq
 
 /// The covariance of the rotation from how the sums of sectors scatter.
 fn covariance(
-    points: &[Point],
+    points: &[TexturePoint],
     counted: &[usize],
     residuals: &[f32],
     warp: &Warp,
@@ -298,7 +301,7 @@ fn covariance(
         let point = &points[index];
         let weight = weight(point, residual, scale) * residual;
         let weighted = SVector::<f32, UNKNOWNS>::from(row(point)) * weight;
-        sums[sector_of(point.cell)] += weighted.cast::<f64>();
+        sums[sector_of(point.place.cell)] += weighted.cast::<f64>();
     }
     let used = sums.iter().filter(|sum| sum.norm() > 0.0).count() as f64;
     if used <= UNKNOWNS as f64 {

@@ -1,8 +1,8 @@
 //! The sphere at a lower resolution, in bands of latitude.
 //!
-//! Near the poles an equirectangular image is stretched along its rows. So bands towards them have a half
-//! and a quarter of the columns: a pixel is then less than twice as wide in the image as it is high, and
-//! shapes nearly keep theirs, but for the last degrees.
+//! Near the poles an equirectangular image is stretched along its rows. So bands towards them have
+//! a half and a quarter of the columns: a pixel is then less than twice as wide in the image as it
+//! is high, and shapes nearly keep theirs, but for the last degrees.
 
 use std::f64::consts::{PI, TAU};
 use std::ops::Range;
@@ -11,39 +11,14 @@ use flockeye_geometry::camera::SpherePixel;
 
 use crate::sphere::SphereImage;
 
-/// Where bands begin and end, shares of the height from the upper border, and by which power of two their
-/// columns are reduced further. Bands overlap by 7 degrees or more, so that a body at 1 m is whole in one.
+/// Where bands begin and end, shares of the height from the upper border, and by which power of two
+/// their columns are reduced further. Bands overlap by 7 degrees or more, so that a body at 1 m is
+/// whole in one.
 const BANDS: [(f64, f64, u32); 5] =
     [(0.0, 0.11, 2), (0.06, 0.20, 1), (0.14, 0.86, 0), (0.80, 0.94, 1), (0.89, 1.0, 2)];
 
 /// Columns that are repeated behind the last one, so that nothing is cut at the seam.
 const SEAM: usize = 64;
-
-/// A grey image, rows without gaps.
-#[derive(Debug, Default)]
-pub(super) struct Grey {
-    pub pixels: Vec<u8>,
-    pub width: usize,
-}
-
-impl Grey {
-    pub fn height(&self) -> usize {
-        self.pixels.len() / self.width.max(1)
-    }
-
-    pub fn row(&self, y: usize) -> &[u8] {
-        &self.pixels[y * self.width..(y + 1) * self.width]
-    }
-}
-
-/// How a sphere image is reduced.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Reduction {
-    width: usize,
-    height: usize,
-    /// Columns and rows of the image for each of the reduced image's.
-    pub factor: usize,
-}
 
 /// One band of the reduced image.
 #[derive(Debug, Clone)]
@@ -52,10 +27,27 @@ pub(super) struct Band {
     /// Columns without the repeated ones.
     columns: usize,
     halvings: u32,
+    /// Columns and rows of the sphere image.
+    width: usize,
+    height: usize,
+    /// Columns and rows of the sphere image for each of the reduced image's.
+    pub factor: usize,
+}
+
+/// The bands of a sphere image reduced to so many columns at the equator, about. Images of a few
+/// pixels have none.
+pub(super) fn bands(width: usize, height: usize, columns: usize) -> impl Iterator<Item = Band> {
+    let factor = (width / columns).max(1);
+    BANDS.into_iter().filter_map(move |(from, to, halvings)| {
+        let at = |share: f64| (share * (height / factor) as f64).round() as usize;
+        let columns = (width / factor) >> halvings;
+        let band = Band { rows: at(from)..at(to), columns, halvings, width, height, factor };
+        (columns > SEAM && band.rows.len() > 1).then_some(band)
+    })
 }
 
 impl Band {
-    /// Whether a region from one column to another (the last) is neither cut at the seam nor found twice.
+    /// Whether a region of these columns is neither cut at the seam nor found twice.
     pub fn has_whole(&self, left: usize, right: usize) -> bool {
         // What begins in the first column goes on before the seam, and is whole behind it.
         left > 0 && left <= self.columns && right + 1 < self.columns + SEAM
@@ -65,74 +57,57 @@ impl Band {
     pub fn stretch(&self) -> usize {
         1 << self.halvings
     }
-}
-
-impl Reduction {
-    /// To so many columns at the equator, about.
-    pub fn new(width: usize, height: usize, columns: usize) -> Self {
-        Self { width, height, factor: (width / columns).max(1) }
-    }
-
-    /// The bands. Images of a few pixels have none.
-    pub fn bands(self) -> impl Iterator<Item = Band> {
-        let height = self.height / self.factor;
-        BANDS.into_iter().filter_map(move |(from, to, halvings)| {
-            let at = |share: f64| (share * height as f64).round() as usize;
-            let columns = (self.width / self.factor) >> halvings;
-            let band = Band { rows: at(from)..at(to), columns, halvings };
-            (columns > SEAM && band.rows.len() > 1).then_some(band)
-        })
-    }
 
     /// Radians of latitude in a row of the reduced image.
-    pub fn row_rad(self) -> f64 {
+    pub fn row_rad(&self) -> f64 {
         PI / self.height as f64 * self.factor as f64
     }
 
-    /// Radians of longitude in a column of a band.
-    pub fn column_rad(self, band: &Band) -> f64 {
-        TAU / self.width as f64 * (self.factor * band.stretch()) as f64
+    /// Radians of longitude in a column.
+    pub fn column_rad(&self) -> f64 {
+        TAU / self.width as f64 * (self.factor * self.stretch()) as f64
     }
 
-    /// A point of a band in the sphere image.
-    pub fn in_sphere(self, band: &Band, x: f64, y: f64) -> SpherePixel {
-        let across = (self.factor * band.stretch()) as f64;
+    /// A point of the band in the sphere image.
+    pub fn in_sphere(&self, x: f64, y: f64) -> SpherePixel {
+        let across = (self.factor * self.stretch()) as f64;
         let down = self.factor as f64;
-        let row = y + band.rows.start as f64;
+        let row = y + self.rows.start as f64;
         SpherePixel::new((x + 0.5) * across - 0.5, (row + 0.5) * down - 0.5)
     }
 
-    /// Reduces a band of an image into `out`. `rows` are two rows of memory to work in.
+    /// Reduces the band of an image into `out`, and returns the width of the rows there, without
+    /// gaps. `rows` are two rows of memory to work in.
     #[inline(always)]
     pub fn reduce(
-        self,
-        band: &Band,
+        &self,
         image: &SphereImage<'_>,
         rows: &mut [Vec<u8>; 2],
-        out: &mut Grey,
-    ) {
-        out.width = band.columns + SEAM;
-        out.pixels.resize(out.width * band.rows.len(), 0);
+        out: &mut Vec<u8>,
+    ) -> usize {
+        let width = self.columns + SEAM;
+        out.resize(width * self.rows.len(), 0);
         let columns = self.width / self.factor;
         let [reduced, halved] = rows;
         reduced.resize(columns, 0);
         halved.resize(columns, 0);
-        for (row, out) in band.rows.clone().zip(out.pixels.chunks_exact_mut(out.width)) {
+        for (row, out) in self.rows.clone().zip(out.chunks_exact_mut(width)) {
             self.reduce_row(row, image, reduced);
-            for _ in 0..band.halvings {
+            for _ in 0..self.halvings {
                 for (half, pair) in halved.iter_mut().zip(reduced.chunks_exact(2)) {
                     *half = ((u16::from(pair[0]) + u16::from(pair[1])).div_ceil(2)) as u8;
                 }
                 std::mem::swap(reduced, halved);
             }
-            let (own, repeated) = out.split_at_mut(band.columns);
-            own.copy_from_slice(&reduced[..band.columns]);
+            let (own, repeated) = out.split_at_mut(self.columns);
+            own.copy_from_slice(&reduced[..self.columns]);
             repeated.copy_from_slice(&reduced[..SEAM]);
         }
+        width
     }
 
     #[inline(always)]
-    fn reduce_row(self, row: usize, image: &SphereImage<'_>, out: &mut [u8]) {
+    fn reduce_row(&self, row: usize, image: &SphereImage<'_>, out: &mut [u8]) {
         let source = |k: usize| {
             let first = (row * self.factor + k) * image.stride();
             &image.pixels()[first..first + self.width]

@@ -1,39 +1,40 @@
 //! The runs of pixels that are darker than their surroundings.
 
-use super::bands::Grey;
+use std::ops::Range;
+
+use crate::image::LumaImage;
 
 /// Side of the blocks whose means stand for the surroundings, pixels of the reduced image.
 const BLOCK: usize = 4;
 
-/// Blocks to each side of a pixel's own that are its surroundings. With the own one that makes 20 pixels of
-/// the reduced image: in a quick look, a marker at 2 m with its quiet zone is half of it.
+/// Blocks to each side of a pixel's own that are its surroundings. With the own one that makes 20
+/// pixels of the reduced image: in a quick look, a marker at 2 m with its quiet zone is half of it.
 const REACH: usize = 2;
 const ACROSS: usize = 2 * REACH + 1;
 
-/// Pixels from column `begin` to before `end`.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Run {
-    pub begin: u16,
-    pub end: u16,
-}
-
 /// Finds runs; reuses its memory.
 #[derive(Debug, Default)]
-pub(super) struct Dark {
+pub(super) struct DarkRuns {
     /// Sum of each block, row by row, with its neighbours of the border repeated outside.
     blocks: Vec<u16>,
     sums: Vec<u16>,
     limits: Vec<u8>,
     row: Vec<u8>,
-    runs: Vec<Run>,
+    /// Columns of dark pixels, from the first to before the last.
+    runs: Vec<Range<u16>>,
 }
 
-impl Dark {
-    /// Calls `each` with every row's number, and its runs of pixels that are darker by `darker_by` codes
-    /// than the mean of their surroundings.
+impl DarkRuns {
+    /// Calls `each` with every row's number, and its runs of pixels that are darker by `darker_by`
+    /// codes than the mean of their surroundings.
     #[inline(always)]
-    pub fn runs(&mut self, grey: &Grey, darker_by: u8, mut each: impl FnMut(usize, &[Run])) {
-        let (width, height) = (grey.width, grey.height());
+    pub fn runs(
+        &mut self,
+        grey: &LumaImage<'_>,
+        darker_by: u8,
+        mut each: impl FnMut(usize, &[Range<u16>]),
+    ) {
+        let (width, height) = (grey.width(), grey.height());
         self.sum_blocks(grey);
         let down = height.div_ceil(BLOCK);
         self.limits.resize(width.next_multiple_of(BLOCK), 0);
@@ -52,11 +53,9 @@ impl Dark {
             }
         }
     }
-
-    /// Sums the blocks.
     #[inline(always)]
-    fn sum_blocks(&mut self, grey: &Grey) {
-        let (width, height) = (grey.width, grey.height());
+    fn sum_blocks(&mut self, grey: &LumaImage<'_>) {
+        let (width, height) = (grey.width(), grey.height());
         let (across, down) = (width.div_ceil(BLOCK), height.div_ceil(BLOCK));
         let stride = across + 2 * REACH;
         self.blocks.resize(stride * down, 0);
@@ -64,7 +63,7 @@ impl Dark {
             self.sums.clear();
             self.sums.resize(across * BLOCK, 0);
             for k in 0..BLOCK {
-                // The last row stands for those below the image, and below the last column for those behind.
+                // The last row and column stand for those outside the image.
                 let row = grey.row((block * BLOCK + k).min(height - 1));
                 for (sum, &pixel) in self.sums.iter_mut().zip(row) {
                     *sum += u16::from(pixel);
@@ -108,9 +107,9 @@ impl Dark {
     }
 }
 
-/// The runs of ones in a row of zeros and ones whose length is a multiple of 64 and whose last is 0.
+/// The runs of ones in a row of zeros and ones, of a multiple of 64 ending with 0.
 #[inline(always)]
-fn collect_runs(row: &[u8], runs: &mut Vec<Run>) {
+fn collect_runs(row: &[u8], runs: &mut Vec<Range<u16>>) {
     runs.clear();
     let (mut begin, mut last) = (None, 0);
     for (word, pixels) in row.chunks_exact(64).enumerate() {
@@ -128,7 +127,7 @@ fn collect_runs(row: &[u8], runs: &mut Vec<Run>) {
             edges &= edges - 1;
             match begin.take() {
                 None => begin = Some(x),
-                Some(begin) => runs.push(Run { begin, end: x }),
+                Some(begin) => runs.push(begin..x),
             }
         }
     }
@@ -136,43 +135,46 @@ fn collect_runs(row: &[u8], runs: &mut Vec<Run>) {
 
 #[cfg(test)]
 mod tests {
+    #![allow(clippy::unwrap_used)]
     use super::*;
 
-    fn runs_of(grey: &Grey) -> Vec<(usize, Run)> {
+    fn runs_of(pixels: &[u8], width: usize) -> Vec<(usize, Range<u16>)> {
+        let grey = LumaImage::new(pixels, width, pixels.len() / width, width).unwrap();
         let mut found = Vec::new();
-        Dark::default().runs(grey, 5, |y, runs| found.extend(runs.iter().map(|&run| (y, run))));
+        DarkRuns::default()
+            .runs(&grey, 5, |y, runs| found.extend(runs.iter().map(|run| (y, run.clone()))));
         found
     }
 
     #[test]
     fn a_dark_square_has_a_run_in_each_of_its_rows() {
         let (width, height) = (131, 45);
-        let mut grey = Grey { pixels: vec![200; width * height], width };
+        let mut pixels = vec![200; width * height];
         for y in 10..17 {
-            grey.pixels[y * width + 60..y * width + 68].fill(40);
+            pixels[y * width + 60..y * width + 68].fill(40);
         }
-        let expected: Vec<_> = (10..17).map(|y| (y, Run { begin: 60, end: 68 })).collect();
-        assert_eq!(runs_of(&grey), expected);
+        let expected: Vec<_> = (10..17).map(|y| (y, 60..68)).collect();
+        assert_eq!(runs_of(&pixels, width), expected);
     }
 
     #[test]
     fn runs_reach_to_the_borders() {
         let width = 128;
-        let mut grey = Grey { pixels: vec![200; width * 9], width };
+        let mut pixels = vec![200; width * 9];
         for y in 0..9 {
-            grey.pixels[y * width..y * width + 3].fill(0);
-            grey.pixels[(y + 1) * width - 2..(y + 1) * width].fill(0);
+            pixels[y * width..y * width + 3].fill(0);
+            pixels[(y + 1) * width - 2..(y + 1) * width].fill(0);
         }
-        let found = runs_of(&grey);
+        let found = runs_of(&pixels, width);
         assert_eq!(found.len(), 18);
-        assert_eq!(found[0].1, Run { begin: 0, end: 3 });
-        assert_eq!(found[1].1, Run { begin: 126, end: 128 });
+        assert_eq!(found[0].1, 0..3);
+        assert_eq!(found[1].1, 126..128);
     }
 
     #[test]
     fn even_pictures_have_none() {
         for code in [0, 1, 4, 128, 255] {
-            assert_eq!(runs_of(&Grey { pixels: vec![code; 70 * 30], width: 70 }), []);
+            assert_eq!(runs_of(&[code; 70 * 30], 70), []);
         }
     }
 }

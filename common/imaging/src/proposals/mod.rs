@@ -1,12 +1,14 @@
 //! Where a neighbour may be: places of the whole sphere that look like a body with markers.
 //!
-//! It is a fast look at the whole picture. What it proposes is cut and read as any other view; what it
-//! misses the tiles find. `docs/FUSION.md` says what its constants were read from.
+//! It is a fast look at the whole picture. What it proposes is cut and read as any other view; what
+//! it misses the tiles find. `docs/FUSION.md` says what its constants were read from.
 //!
-//! 1. The picture is reduced to the resolution of the look ([`Detail`]), in bands of latitude ([`bands`]).
+//! 1. The picture is reduced to the resolution of the look ([`Detail`]), in bands of latitude
+//!    ([`bands`]).
 //! 2. Runs of pixels that are darker than their surroundings ([`dark`]) are joined to regions
 //!    ([`regions`]).
-//! 3. Regions as large as a marker, with a brighter surround on each side, are squares ([`squares`]).
+//! 3. Regions as large as a marker, with a brighter surround on each side, are squares
+//!    ([`squares`]).
 //! 4. Squares that lie as near to each other as those of a body make a proposal ([`clusters`]).
 
 mod bands;
@@ -20,12 +22,13 @@ mod tests;
 
 use flockeye_geometry::camera::CameraModel;
 
+use crate::image::LumaImage;
 use crate::sphere::SphereImage;
-use bands::{Grey, Reduction};
-use dark::Dark;
+use bands::bands;
+use dark::DarkRuns;
 pub use proposal::{MarkerSizes, Proposal};
 use regions::Regions;
-use squares::Square;
+use squares::{DarkSquare, square};
 
 /// By how many code values a marker's pixels are darker than the mean of their surroundings.
 const DARKER_BY: u8 = 5;
@@ -53,10 +56,11 @@ impl Detail {
 #[derive(Debug, Default)]
 pub struct Proposer {
     rows: [Vec<u8>; 2],
-    grey: Grey,
-    dark: Dark,
+    /// Pixels of one band.
+    grey: Vec<u8>,
+    dark: DarkRuns,
     regions: Regions,
-    squares: Vec<Square>,
+    squares: Vec<DarkSquare>,
 }
 
 impl Proposer {
@@ -97,14 +101,17 @@ impl Proposer {
     fn find_squares(&mut self, image: &SphereImage<'_>, sizes: &MarkerSizes, detail: Detail) {
         self.squares.clear();
         let camera = image.camera();
-        let reduction =
-            Reduction::new(camera.width() as usize, camera.height() as usize, detail.columns());
-        for band in reduction.bands() {
-            reduction.reduce(&band, image, &mut self.rows, &mut self.grey);
+        let (width, height) = (camera.width() as usize, camera.height() as usize);
+        for band in bands(width, height, detail.columns()) {
+            let width = band.reduce(image, &mut self.rows, &mut self.grey);
+            let height = self.grey.len() / width;
+            // Bands have pixels, and rows without gaps: nothing is refused here.
+            let Ok(grey) = LumaImage::new(&self.grey, width, height, width) else { continue };
             self.regions.clear();
-            self.dark.runs(&self.grey, DARKER_BY, |row, runs| self.regions.add(row, runs));
-            let look = squares::Look { image, reduction, band: &band, grey: &self.grey, sizes };
-            self.squares.extend(self.regions.iter().filter_map(|region| look.square(region)));
+            self.dark.runs(&grey, DARKER_BY, |row, runs| self.regions.add(row, runs));
+            self.squares.extend(
+                self.regions.iter().filter_map(|region| square(region, image, &band, &grey, sizes)),
+            );
         }
     }
 }

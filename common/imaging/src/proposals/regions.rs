@@ -1,6 +1,6 @@
 //! Runs joined to regions.
 
-use super::dark::Run;
+use std::ops::Range;
 
 /// A region of dark pixels: the box round it, and how many there are.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -19,13 +19,12 @@ pub(super) struct Region {
 pub(super) struct Regions {
     parents: Vec<u32>,
     regions: Vec<Region>,
-    above: Vec<(Run, u32)>,
-    here: Vec<(Run, u32)>,
+    above: Vec<(Range<u16>, u32)>,
+    here: Vec<(Range<u16>, u32)>,
     row: usize,
 }
 
 impl Regions {
-    /// Forgets all regions.
     pub fn clear(&mut self) {
         self.parents.clear();
         self.regions.clear();
@@ -35,24 +34,24 @@ impl Regions {
 
     /// Adds the runs of row `row`; rows come in order.
     #[inline(always)]
-    pub fn add(&mut self, row: usize, runs: &[Run]) {
+    pub fn add(&mut self, row: usize, runs: &[Range<u16>]) {
         self.here.clear();
         let mut first = 0;
-        for &run in runs {
+        for run in runs {
             let own = Region {
-                left: run.begin,
+                left: run.start,
                 right: run.end - 1,
                 top: row as u16,
                 bottom: row as u16,
-                area: u32::from(run.end - run.begin),
+                area: u32::from(run.end - run.start),
             };
             let mut label = None;
-            while self.above.get(first).is_some_and(|(above, _)| above.end <= run.begin) {
+            while self.above.get(first).is_some_and(|(above, _)| above.end <= run.start) {
                 first += 1;
             }
             for k in first..self.above.len() {
-                let (above, its) = self.above[k];
-                if above.begin >= run.end {
+                let (above, its) = (&self.above[k].0, self.above[k].1);
+                if above.start >= run.end {
                     break;
                 }
                 label = Some(match label {
@@ -73,12 +72,10 @@ impl Regions {
                     label
                 }
             };
-            self.here.push((run, label));
+            self.here.push((run.clone(), label));
         }
         std::mem::swap(&mut self.above, &mut self.here);
     }
-
-    /// All regions.
     pub fn iter(&self) -> impl Iterator<Item = &Region> {
         let own = |(label, &parent): (usize, &u32)| label == parent as usize;
         let roots = self.parents.iter().enumerate().map(own);
@@ -108,13 +105,9 @@ impl Region {
             area: self.area + other.area,
         }
     }
-
-    /// Columns.
     pub fn width(&self) -> usize {
         usize::from(self.right - self.left) + 1
     }
-
-    /// Rows.
     pub fn height(&self) -> usize {
         usize::from(self.bottom - self.top) + 1
     }
@@ -145,7 +138,7 @@ mod tests {
                 match (begin, is_dark) {
                     (None, true) => begin = Some(x),
                     (Some(from), false) => {
-                        runs.push(Run { begin: from as u16, end: x as u16 });
+                        runs.push(from as u16..x as u16);
                         begin = None;
                     }
                     _ => {}

@@ -6,31 +6,32 @@ use std::ops::{Range, RangeInclusive};
 use flockeye_geometry::Ray;
 use flockeye_geometry::camera::SpherePixel;
 
-use super::bands::{Band, Grey, Reduction};
+use super::bands::Band;
 use super::proposal::MarkerSizes;
 use super::regions::Region;
+use crate::image::LumaImage;
 use crate::sphere::SphereImage;
 
-/// How far a region's longer side may be below and above the markers' sizes. Blur joins a marker with
-/// nothing and takes some of its border away; one seen at an angle is shorter.
+/// How far a region's longer side may be below and above the markers' sizes. Blur joins a marker
+/// with nothing and takes some of its border away; one seen at an angle is shorter.
 const SIZE_TOLERANCE: (f64, f64) = (0.6, 1.5);
 
-/// Least ratio of a region's sides: a marker at 65 degrees of incidence has 0.4, blur takes some of it.
+/// Least ratio of a region's sides: a marker at 65 degrees has 0.4, and blur takes some.
 const MIN_ASPECT: f64 = 0.3;
 
-/// Least share of its box that a region fills: the box of a square that stands on its corner is filled by
-/// half, and white cells leave holes.
+/// Least share of its box that a region fills: the box of a square that stands on its corner is
+/// filled by half, and white cells leave holes.
 const MIN_FILL: f64 = 0.35;
 
 /// By how many code values each side's surround is brighter than the inside, at least.
 const MIN_CONTRAST: f32 = 4.0;
 
-/// The share of a square's box in its middle, to each side of it, whose texture is looked at: the cells.
+/// The share of a square's box whose texture counts, to each side of its middle: the cells.
 const CELLS_SHARE: f64 = 0.35;
 
 /// A dark region that may be a marker.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Square {
+pub(super) struct DarkSquare {
     pub direction_in_camera: Ray,
     /// Its longer side, radians.
     pub side_rad: f64,
@@ -44,125 +45,122 @@ pub(super) struct Square {
     pub grain: f32,
 }
 
-/// A band of a picture in which regions are looked at.
-pub(super) struct Look<'l> {
-    pub image: &'l SphereImage<'l>,
-    pub reduction: Reduction,
-    pub band: &'l Band,
-    pub grey: &'l Grey,
-    pub sizes: &'l MarkerSizes,
+/// The square that a region may be. The region lies in `grey`, which is this band of the image.
+#[inline(always)]
+pub(super) fn square(
+    region: &Region,
+    image: &SphereImage<'_>,
+    band: &Band,
+    grey: &LumaImage<'_>,
+    sizes: &MarkerSizes,
+) -> Option<DarkSquare> {
+    let (width, height) = (region.width(), region.height());
+    // Most regions are a few pixels of noise.
+    let longest = sizes.most_rad * SIZE_TOLERANCE.1;
+    let shortest = sizes.least_rad * SIZE_TOLERANCE.0;
+    let height_rad = height as f64 * band.row_rad();
+    let is_filled = f64::from(region.area) >= MIN_FILL * (width * height) as f64;
+    let (left, right) = (usize::from(region.left), usize::from(region.right));
+    if height_rad > longest
+        || height_rad < MIN_ASPECT * shortest
+        || !is_filled
+        || !band.has_whole(left, right)
+    {
+        return None;
+    }
+    let (top, bottom) = (usize::from(region.top), usize::from(region.bottom));
+    let middle = ((left + right) as f64 / 2.0, (top + bottom) as f64 / 2.0);
+    let at = band.in_sphere(middle.0, middle.1);
+    let sphere = image.camera();
+    let level = (PI * (0.5 - (at.0.y + 0.5) / f64::from(sphere.height()))).cos();
+    let width_rad = width as f64 * band.column_rad() * level;
+    let (side_rad, shorter) = (height_rad.max(width_rad), height_rad.min(width_rad));
+    if side_rad > longest || side_rad < shortest || shorter < MIN_ASPECT * side_rad {
+        return None;
+    }
+    let (contrast, unevenness) = surround(grey, left..=right, top..=bottom)?;
+    let (texture, grain) = cells(image, band, at, width, height);
+    let direction_in_camera = sphere.ray(at)?;
+    Some(DarkSquare { direction_in_camera, side_rad, contrast, unevenness, texture, grain })
 }
 
-impl Look<'_> {
-    /// The square that a region may be.
-    #[inline(always)]
-    pub fn square(&self, region: &Region) -> Option<Square> {
-        let (width, height) = (region.width(), region.height());
-        // Most regions are a few pixels of noise.
-        let longest = self.sizes.most_rad * SIZE_TOLERANCE.1;
-        let shortest = self.sizes.least_rad * SIZE_TOLERANCE.0;
-        let height_rad = height as f64 * self.reduction.row_rad();
-        let is_filled = f64::from(region.area) >= MIN_FILL * (width * height) as f64;
-        let (left, right) = (usize::from(region.left), usize::from(region.right));
-        if height_rad > longest
-            || height_rad < MIN_ASPECT * shortest
-            || !is_filled
-            || !self.band.has_whole(left, right)
-        {
-            return None;
-        }
-        let (top, bottom) = (usize::from(region.top), usize::from(region.bottom));
-        let middle = ((left + right) as f64 / 2.0, (top + bottom) as f64 / 2.0);
-        let at = self.reduction.in_sphere(self.band, middle.0, middle.1);
-        let sphere = self.image.camera();
-        let level = (PI * (0.5 - (at.0.y + 0.5) / f64::from(sphere.height()))).cos();
-        let width_rad = width as f64 * self.reduction.column_rad(self.band) * level;
-        let (side_rad, shorter) = (height_rad.max(width_rad), height_rad.min(width_rad));
-        if side_rad > longest || side_rad < shortest || shorter < MIN_ASPECT * side_rad {
-            return None;
-        }
-        let (contrast, unevenness) = self.surround(left..=right, top..=bottom)?;
-        let (texture, grain) = self.cells(at, width, height);
-        let direction_in_camera = sphere.ray(at)?;
-        Some(Square { direction_in_camera, side_rad, contrast, unevenness, texture, grain })
+/// The contrast of a box with its surround, and its unevenness. `None` if a side is too dark.
+fn surround(
+    grey: &LumaImage<'_>,
+    columns: RangeInclusive<usize>,
+    rows: RangeInclusive<usize>,
+) -> Option<(f32, f32)> {
+    let (left, right, top, bottom) = (*columns.start(), *columns.end(), *rows.start(), *rows.end());
+    let (width, height) = (right - left + 1, bottom - top + 1);
+    // The middle of the quiet zone.
+    let gap = (width.max(height) / 8).max(1);
+    let is_inside =
+        left >= gap && top >= gap && right + gap < grey.width() && bottom + gap < grey.height();
+    if !is_inside {
+        return None;
     }
+    let inside = mean(grey, columns, rows);
+    // The middle thirds of the sides.
+    let (x, y) = (left + width / 3..=right - width / 3, top + height / 3..=bottom - height / 3);
+    let sides = [
+        mean(grey, x.clone(), top - gap..=top - gap),
+        mean(grey, x, bottom + gap..=bottom + gap),
+        mean(grey, left - gap..=left - gap, y.clone()),
+        mean(grey, right + gap..=right + gap, y),
+    ];
+    let darkest = sides.into_iter().fold(f32::MAX, f32::min);
+    let brightest = sides.into_iter().fold(0.0, f32::max);
+    let is_square = darkest - inside >= MIN_CONTRAST;
+    is_square.then(|| (darkest - inside, (brightest - darkest) / (brightest - inside)))
+}
 
-    /// The contrast of a box with its surround, and how uneven that is. `None` where a side is too dark.
-    fn surround(
-        &self,
-        columns: RangeInclusive<usize>,
-        rows: RangeInclusive<usize>,
-    ) -> Option<(f32, f32)> {
-        let (left, right, top, bottom) =
-            (*columns.start(), *columns.end(), *rows.start(), *rows.end());
-        let (width, height) = (right - left + 1, bottom - top + 1);
-        // The middle of the quiet zone.
-        let gap = (width.max(height) / 8).max(1);
-        let is_inside = left >= gap
-            && top >= gap
-            && right + gap < self.grey.width
-            && bottom + gap < self.grey.height();
-        if !is_inside {
-            return None;
+fn mean(grey: &LumaImage<'_>, columns: RangeInclusive<usize>, rows: RangeInclusive<usize>) -> f32 {
+    let (columns, rows) = (*columns.start()..*columns.end() + 1, *rows.start()..*rows.end() + 1);
+    let count = columns.len() * rows.len();
+    let mut sum = 0;
+    for y in rows {
+        for &pixel in &grey.row(y)[columns.clone()] {
+            sum += u32::from(pixel);
         }
-        let inside = self.mean(columns, rows);
-        // The middle thirds of the sides.
-        let (x, y) = (left + width / 3..=right - width / 3, top + height / 3..=bottom - height / 3);
-        let sides = [
-            self.mean(x.clone(), top - gap..=top - gap),
-            self.mean(x, bottom + gap..=bottom + gap),
-            self.mean(left - gap..=left - gap, y.clone()),
-            self.mean(right + gap..=right + gap, y),
-        ];
-        let darkest = sides.into_iter().fold(f32::MAX, f32::min);
-        let brightest = sides.into_iter().fold(0.0, f32::max);
-        let is_square = darkest - inside >= MIN_CONTRAST;
-        is_square.then(|| (darkest - inside, (brightest - darkest) / (brightest - inside)))
     }
+    sum as f32 / count as f32
+}
 
-    fn mean(&self, columns: RangeInclusive<usize>, rows: RangeInclusive<usize>) -> f32 {
-        let (columns, rows) =
-            (*columns.start()..*columns.end() + 1, *rows.start()..*rows.end() + 1);
-        let count = columns.len() * rows.len();
-        let mut sum = 0;
-        for y in rows {
-            for &pixel in &self.grey.row(y)[columns.clone()] {
-                sum += u32::from(pixel);
+/// The texture and the grain of the middle of a box round `at`, at the picture's own
+/// resolution: a reduced marker at 2 m has no cells left.
+fn cells(
+    image: &SphereImage<'_>,
+    band: &Band,
+    at: SpherePixel,
+    width: usize,
+    height: usize,
+) -> (f32, f32) {
+    let camera = image.camera();
+    let across = band.stretch();
+    let SpherePixel(at) = at;
+    let place = |middle: f64, side: usize, most: u32| -> Range<usize> {
+        let half = CELLS_SHARE * (side * band.factor) as f64;
+        let most = most as usize;
+        ((middle - half).max(0.0) as usize).min(most - 1)
+            ..((middle + half).max(0.0) as usize + 1).min(most)
+    };
+    let u = at.x.rem_euclid(f64::from(camera.width()));
+    let columns = place(u, width * across, camera.width());
+    let (mut sum, mut squares, mut count) = (0, 0, 0);
+    let (mut steps, mut differences) = (0, 0u32);
+    for y in place(at.y, height, camera.height()) {
+        let row = &image.pixels()[y * image.stride()..][columns.clone()];
+        let mut before = None;
+        for &pixel in row.iter().step_by(across) {
+            let pixel = u32::from(pixel);
+            (sum, squares, count) = (sum + pixel, squares + pixel * pixel, count + 1);
+            if let Some(before) = before.replace(pixel) {
+                differences += pixel.abs_diff(before).pow(2);
+                steps += 1;
             }
         }
-        sum as f32 / count as f32
     }
-
-    /// The texture and the grain of the middle of a box round `at`, at the picture's own resolution: a
-    /// reduced marker at 2 m has no cells left.
-    fn cells(&self, at: SpherePixel, width: usize, height: usize) -> (f32, f32) {
-        let camera = self.image.camera();
-        let across = self.band.stretch();
-        let SpherePixel(at) = at;
-        let place = |middle: f64, side: usize, most: u32| -> Range<usize> {
-            let half = CELLS_SHARE * (side * self.reduction.factor) as f64;
-            let most = most as usize;
-            ((middle - half).max(0.0) as usize).min(most - 1)
-                ..((middle + half).max(0.0) as usize + 1).min(most)
-        };
-        let u = at.x.rem_euclid(f64::from(camera.width()));
-        let columns = place(u, width * across, camera.width());
-        let (mut sum, mut squares, mut count) = (0, 0, 0);
-        let (mut steps, mut differences) = (0, 0u32);
-        for y in place(at.y, height, camera.height()) {
-            let row = &self.image.pixels()[y * self.image.stride()..][columns.clone()];
-            let mut before = None;
-            for &pixel in row.iter().step_by(across) {
-                let pixel = u32::from(pixel);
-                (sum, squares, count) = (sum + pixel, squares + pixel * pixel, count + 1);
-                if let Some(before) = before.replace(pixel) {
-                    differences += pixel.abs_diff(before).pow(2);
-                    steps += 1;
-                }
-            }
-        }
-        let share = 1.0 / (count.max(1) as f32);
-        let variance = squares as f32 * share - (sum as f32 * share).powi(2);
-        (variance.max(0.0).sqrt(), (differences as f32 / steps.max(1) as f32).sqrt())
-    }
+    let share = 1.0 / (count.max(1) as f32);
+    let variance = squares as f32 * share - (sum as f32 * share).powi(2);
+    (variance.max(0.0).sqrt(), (differences as f32 / steps.max(1) as f32).sqrt())
 }

@@ -116,8 +116,8 @@ fn the_same_picture_has_the_same_proposals_whatever_came_before() {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(24))]
 
-    /// Images of any size and content: proposals are finite, in order, no more than asked for, and of
-    /// sizes that were asked for.
+    /// Images of any size and content: proposals are finite, in order, no more than asked for, and
+    /// of sizes that were asked for.
     #[test]
     fn any_picture_has_orderly_proposals(
         half_width in 1u32..200,

@@ -2,8 +2,8 @@
 
 use std::f64::consts::{FRAC_PI_2, PI};
 
-/// Coefficients of atan(t)/t in t^2, exact to 2e-8 for |t| <= 1 (Abramowitz and Stegun, *Handbook of Mathematical
-/// Functions*, 1964, 4.4.49). That is 0.00005 px of the widest sphere image.
+/// Coefficients of atan(t)/t in t^2, exact to 2e-8 for |t| <= 1 (Abramowitz and Stegun, *Handbook
+/// of Mathematical Functions*, 1964, 4.4.49). That is 0.00005 px of the widest sphere image.
 const ATAN: [f64; 9] = [
     1.0,
     -0.333_331_452_8,

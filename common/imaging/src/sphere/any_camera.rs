@@ -4,8 +4,8 @@ use flockeye_geometry::camera::{Camera, CameraModel, SpherePixel};
 use flockeye_geometry::view::{View, ViewPixel};
 
 use super::fixed_point::{LANES, NOWHERE, ONE, Positions, fixed};
-use super::mapping::{Fit, Mapping};
-use super::patch::{NODE_COUNT, NODES, Patch, Tile};
+use super::mapping::{Mapping, TileFit};
+use super::patch::{NODE_COUNT, NODES, TilePositions, ViewTile};
 
 /// A view of the image of a camera.
 #[derive(Debug, Clone, Copy)]
@@ -19,8 +19,7 @@ pub(super) struct CameraMapping<'a> {
 /// Points between the nodes where the first term that a quadratic omits is nearly largest.
 const CHECKS: [[f64; 2]; 4] = [[-0.55, -0.55], [0.55, -0.55], [-0.55, 0.55], [0.55, 0.55]];
 
-/// Largest error of the quadratic at the checks, pixels. It is less than
-/// [`super::patch::MAX_INTERPOLATION_ERROR_PX`], because between the checks the error may be a little larger.
+/// Largest error of the quadratic at the checks, pixels: between them it may be larger.
 const MAX_CHECKED_ERROR_PX: f64 = 0.008;
 
 /// Tiles up to this side count as blank if the camera sees none of their nodes, pixels.
@@ -48,7 +47,7 @@ impl<'a> CameraMapping<'a> {
 }
 
 impl Mapping for CameraMapping<'_> {
-    fn fit(&self, tile: Tile) -> Fit {
+    fn fit(&self, tile: ViewTile) -> TileFit {
         let half = [f64::from(tile.width) * 0.5, f64::from(tile.height) * 0.5];
         let centre = [f64::from(tile.x) + half[0] - 0.5, f64::from(tile.y) + half[1] - 0.5];
         let at = |across: f64, along: f64| {
@@ -62,27 +61,27 @@ impl Mapping for CameraMapping<'_> {
         let middle = nodes[4];
         nodes[9..].fill(middle);
         if nodes.iter().all(Option::is_none) && tile.width.max(tile.height) <= BLANK_SIDE {
-            return Fit::Blank;
+            return TileFit::Blank;
         }
-        let Some(SpherePixel(middle)) = middle else { return Fit::Split };
+        let Some(SpherePixel(middle)) = middle else { return TileFit::Split };
         let mut columns = [0.0; NODE_COUNT];
         let mut rows = [0.0; NODE_COUNT];
         for (k, node) in nodes.into_iter().enumerate() {
-            let Some(SpherePixel(node)) = node else { return Fit::Split };
+            let Some(SpherePixel(node)) = node else { return TileFit::Split };
             columns[k] = self.columns_from(middle.x, node.x) * ONE;
             rows[k] = (node.y - middle.y) * ONE;
         }
-        let patch = Patch::through(tile, (middle.x, middle.y), &columns, &rows);
+        let patch = TilePositions::through(tile, (middle.x, middle.y), &columns, &rows);
         for [across, along] in CHECKS {
-            let Some(SpherePixel(exact)) = at(across, along) else { return Fit::Split };
+            let Some(SpherePixel(exact)) = at(across, along) else { return TileFit::Split };
             let [column, row] = patch.offset_px(across, along);
             let column_error = self.columns_from(middle.x, exact.x) - column;
             let row_error = exact.y - middle.y - row;
             if column_error.abs().max(row_error.abs()) > MAX_CHECKED_ERROR_PX {
-                return Fit::Split;
+                return TileFit::Split;
             }
         }
-        Fit::Patch(patch)
+        TileFit::Interpolated(patch)
     }
 
     fn positions(&self, x: u32, y: u32) -> Positions {

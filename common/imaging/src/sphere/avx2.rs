@@ -4,17 +4,17 @@ use std::arch::x86_64::*;
 
 use super::cubic;
 use super::fetch::fetch;
-use super::fixed_point::LANES;
+use super::fixed_point::{LANES, put};
 use super::image::SphereImage;
 use super::patch::{MAX_ROWS, Strip};
 use super::sample::{ROW_WEIGHT, WEIGHT_BITS};
-use super::target::Target;
 
 /// Longest stride that fits the 16-bit factors of the addresses, bytes.
 pub(super) const MAX_STRIDE: usize = i16::MAX as usize;
 
-/// Cuts one strip into the first `rows` rows of `target`, bilinearly. Its positions must lie between the image's first
-/// and last but one column and row. The grey values are those of [`super::sample::sample`].
+/// Cuts one strip into the first `rows` rows of `out`, bilinearly. Its positions must lie between
+/// the image's first and last but one column and row. The grey values are those of
+/// [`super::sample::sample`].
 ///
 /// # Safety
 /// Each position of the strip's first `rows` rows, rounded up to fours, must have 0 <= column <
@@ -25,9 +25,10 @@ pub(super) unsafe fn cut_strip<const GATHERED: bool>(
     sphere: &SphereImage<'_>,
     strip: &Strip,
     rows: usize,
-    target: &mut Target<'_>,
+    out: &mut [u8],
+    stride: usize,
 ) {
-    let [columns, lines] = &strip.series;
+    let [columns, lines] = strip;
     let (mut u, mut du, ddu) = (load(&columns.value), load(&columns.step), load(&columns.growth));
     let (mut v, mut dv, ddv) = (load(&lines.value), load(&lines.step), load(&lines.growth));
 
@@ -52,9 +53,10 @@ pub(super) unsafe fn cut_strip<const GATHERED: bool>(
     for first in (0..rows).step_by(4) {
         let mut greys = [_mm256_setzero_si256(); 4];
         for (grey, offsets) in greys.iter_mut().zip(&offsets[first..]) {
-            // SAFETY: the caller guarantees that the offset is that of a pixel with a right and a lower neighbour. The
-            // upper fetch reads it and the three bytes after it. These end no later than its lower right neighbour,
-            // because rows have two pixels or more. The lower fetch reads the lower pair and the two bytes before it.
+            // SAFETY: the caller guarantees that the offset is that of a pixel with a right and a
+            // lower neighbour. The upper fetch reads it and the three bytes after it. These end no
+            // later than its lower right neighbour, because rows have two pixels or more. The lower
+            // fetch reads the lower pair and the two bytes before it.
             let (above, below) =
                 unsafe { (fetch::<GATHERED>(upper, offsets), fetch::<GATHERED>(lower, offsets)) };
             let pixels = _mm256_blend_epi16::<0xaa>(above, below);
@@ -69,7 +71,7 @@ pub(super) unsafe fn cut_strip<const GATHERED: bool>(
             du = _mm256_add_epi32(du, ddu);
             dv = _mm256_add_epi32(dv, ddv);
         }
-        put_four(greys, first, rows, target);
+        put_four(greys, first, rows, out, stride);
     }
 }
 
@@ -84,16 +86,17 @@ pub(super) unsafe fn cut_strip_cubic<const GATHERED: bool>(
     sphere: &SphereImage<'_>,
     strip: &Strip,
     rows: usize,
-    target: &mut Target<'_>,
+    out: &mut [u8],
+    stride: usize,
 ) {
-    let [columns, lines] = &strip.series;
+    let [columns, lines] = strip;
     let (mut u, mut du, ddu) = (load(&columns.value), load(&columns.step), load(&columns.growth));
     let (mut v, mut dv, ddv) = (load(&lines.value), load(&lines.step), load(&lines.growth));
 
-    let stride = sphere.stride();
-    // Address of the upper left of the sixteen neighbours, for a position at the image's first pixel.
-    let corner = sphere.pixels().as_ptr().wrapping_sub(stride + 1);
-    let offsets = offsets(strip, rows, stride);
+    let source_stride = sphere.stride();
+    // Address of the upper left of the neighbours, for a position at the first pixel.
+    let corner = sphere.pixels().as_ptr().wrapping_sub(source_stride + 1);
+    let offsets = offsets(strip, rows, source_stride);
     let zero = _mm256_setzero_si256();
     let row_rounding = _mm256_set1_epi32(1 << (cubic::ROW_SHIFT - 1));
     let end_rounding = _mm256_set1_epi32(1 << (cubic::END_SHIFT - 1));
@@ -118,9 +121,9 @@ pub(super) unsafe fn cut_strip_cubic<const GATHERED: bool>(
             let across_high = _mm256_unpackhi_epi32(across[0], across[1]);
             let mut sums = [zero; 4];
             for (k, sum) in sums.iter_mut().enumerate() {
-                let line = corner.wrapping_add(k * stride);
-                // SAFETY: the caller guarantees that the columns and rows from the position - 1 to the position + 2 lie
-                // in the image. This reads four bytes of one of these rows.
+                let line = corner.wrapping_add(k * source_stride);
+                // SAFETY: the caller guarantees that the columns and rows from the position - 1 to
+                // the position + 2 lie in the image. This reads four bytes of one of these rows.
                 let pixels = unsafe { fetch::<GATHERED>(line, offsets) };
                 let low = _mm256_madd_epi16(_mm256_unpacklo_epi8(pixels, zero), across_low);
                 let high = _mm256_madd_epi16(_mm256_unpackhi_epi8(pixels, zero), across_high);
@@ -139,7 +142,7 @@ pub(super) unsafe fn cut_strip_cubic<const GATHERED: bool>(
             du = _mm256_add_epi32(du, ddu);
             dv = _mm256_add_epi32(dv, ddv);
         }
-        put_four(greys, first, rows, target);
+        put_four(greys, first, rows, out, stride);
     }
 }
 
@@ -161,11 +164,12 @@ fn weights(fractions: __m256i) -> [__m256i; 4] {
     [first, second, _mm256_sub_epi16(one, others), last]
 }
 
-/// Offsets of the pixels of a strip's rows from the image's first pixel, bytes, for rows rounded up to fours. They are
-/// stored in memory all at once, because extracting them from a register one by one would cost more than the loads.
+/// Offsets of the pixels of a strip's rows from the image's first pixel, bytes, for rows rounded up
+/// to fours. They are stored in memory all at once, because extracting them from a register one by
+/// one would cost more than the loads.
 #[target_feature(enable = "avx2")]
 fn offsets(strip: &Strip, rows: usize, stride: usize) -> [[i32; LANES]; MAX_ROWS as usize] {
-    let [columns, lines] = &strip.series;
+    let [columns, lines] = strip;
     let (mut u, mut du, ddu) = (load(&columns.value), load(&columns.step), load(&columns.growth));
     let (mut v, mut dv, ddv) = (load(&lines.value), load(&lines.step), load(&lines.growth));
     // Low half 1, high half the stride: one multiplication of pairs gives column + row * stride.
@@ -193,7 +197,7 @@ fn load(values: &[i32; LANES]) -> __m256i {
 
 /// Writes four rows of eight grey values, each in a lane of 32 bits, as far as there are rows.
 #[target_feature(enable = "avx2")]
-fn put_four(greys: [__m256i; 4], first: usize, rows: usize, target: &mut Target<'_>) {
+fn put_four(greys: [__m256i; 4], first: usize, rows: usize, out: &mut [u8], stride: usize) {
     let rows_in_order = _mm256_setr_epi32(0, 4, 1, 5, 2, 6, 3, 7);
     let [a, b, c, d] = greys;
     // Saturating packs clamp overshoot to 0 and 255.
@@ -206,6 +210,6 @@ fn put_four(greys: [__m256i; 4], first: usize, rows: usize, target: &mut Target<
         _mm256_extract_epi64::<3>(bytes),
     ];
     for (row, line) in (first..rows).zip(lines) {
-        target.put(row, line.to_le_bytes());
+        put(out, stride, row, line.to_le_bytes());
     }
 }

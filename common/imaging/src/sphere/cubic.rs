@@ -18,8 +18,7 @@ fn product(a: i32, b: i32) -> i32 {
     (a * b + HALF) >> 15
 }
 
-/// Weights of four neighbours for a position at `fraction` (1/65536) from the second to the third. Their sum is
-/// exactly 1.
+/// Weights of four neighbours for a position `fraction` (1/65536) behind the second. They sum to 1.
 #[inline(always)]
 pub(super) fn weights(fraction: i32) -> [i32; 4] {
     let t = (fraction & 0xffff) >> 1;
@@ -32,8 +31,8 @@ pub(super) fn weights(fraction: i32) -> [i32; 4] {
     [first, second, one - first - second - last, last]
 }
 
-/// The grey value at a position between the middle four of `pixels`, given row by row. The position is (column, row)
-/// in 1/65536 px, of which only the fractions count.
+/// The grey value at a position between the middle four of `pixels`, given row by row. The position
+/// is (column, row) in 1/65536 px, of which only the fractions count.
 #[inline(always)]
 pub(super) fn blend([column, row]: [i32; 2], pixels: [[u8; 4]; 4]) -> u8 {
     let (across, along) = (weights(column), weights(row));

@@ -5,12 +5,11 @@ use std::sync::{Mutex, PoisonError};
 use super::any_camera::CameraMapping;
 use super::cut_request::{Cut, Interpolation};
 use super::equirectangular::EquirectangularMapping;
-use super::fixed_point::LANES;
+use super::fixed_point::{LANES, put};
 use super::image::SphereImage;
-use super::mapping::{Fit, Mapping};
-use super::patch::{MAX_ROWS, Strip, Tile};
-use super::sample::{sample, sample_cubic};
-use super::target::Target;
+use super::mapping::{Mapping, TileFit};
+use super::patch::{MAX_ROWS, Strip, ViewTile};
+use super::sample::sample_by;
 
 /// Widest tile, pixels.
 const MAX_COLUMNS: u32 = 32;
@@ -22,7 +21,7 @@ const BAND_ROWS: u32 = 4 * MAX_ROWS;
 const MIN_PIXELS_PER_THREAD: usize = 20_000;
 
 /// Neighbouring rows of a view.
-pub(super) struct Band<'a> {
+pub(super) struct RowBand<'a> {
     pub cut: &'a Cut,
     /// The first row.
     pub y: u32,
@@ -34,10 +33,10 @@ pub(super) struct Band<'a> {
 
 /// Cuts one view. `out` and the view have been checked.
 pub(super) fn cut_view(sphere: &SphereImage<'_>, cut: &Cut, out: &mut [u8], stride: usize) {
-    cut_band(sphere, Band { cut, y: 0, rows: cut.view.size_px, out, stride });
+    cut_band(sphere, RowBand { cut, y: 0, rows: cut.view.size_px, out, stride });
 }
 
-/// Cuts views, with rows as far apart as each is wide, on up to `threads` threads. All have been checked.
+/// Cuts checked views, with rows as far apart as each is wide, on up to `threads` threads.
 pub(super) fn cut_views(
     sphere: &SphereImage<'_>,
     cuts: &[Cut],
@@ -57,7 +56,7 @@ pub(super) fn cut_views(
         let out = &mut out[..stride * stride];
         out.chunks_mut(BAND_ROWS as usize * stride).enumerate().map(move |(k, out)| {
             let rows = (out.len() / stride) as u32;
-            Band { cut, y: k as u32 * BAND_ROWS, rows, out, stride }
+            RowBand { cut, y: k as u32 * BAND_ROWS, rows, out, stride }
         })
     });
     let bands = Mutex::new(bands);
@@ -122,136 +121,116 @@ impl Kernel {
     }
 }
 
-fn cut_band(sphere: &SphereImage<'_>, band: Band<'_>) {
+fn cut_band(sphere: &SphereImage<'_>, band: RowBand<'_>) {
     cut_band_by(Kernel::of_processor(), sphere, band);
 }
 
 /// Cuts with this kernel, or with the plain one where it does not work.
-pub(super) fn cut_band_by(kernel: Kernel, sphere: &SphereImage<'_>, band: Band<'_>) {
-    match kernel {
-        // SAFETY: `works_on` has checked that the processor has AVX2, and that the stride is within its limit.
-        #[cfg(target_arch = "x86_64")]
-        Kernel::Avx2 if kernel.works_on(sphere) => unsafe { cut_band_avx2::<false>(sphere, band) },
-        // SAFETY: as above.
-        #[cfg(target_arch = "x86_64")]
-        Kernel::Avx2Gather if kernel.works_on(sphere) => unsafe {
-            cut_band_avx2::<true>(sphere, band);
-        },
-        _ => cut_band_plain(sphere, band),
+pub(super) fn cut_band_by(kernel: Kernel, sphere: &SphereImage<'_>, band: RowBand<'_>) {
+    match band.cut.interpolation {
+        Interpolation::Bilinear => cut_band_with::<false>(kernel, sphere, band),
+        Interpolation::Cubic => cut_band_with::<true>(kernel, sphere, band),
     }
 }
 
-fn cut_band_plain(sphere: &SphereImage<'_>, band: Band<'_>) {
-    match band.cut.interpolation {
-        Interpolation::Bilinear => cut_tiles(sphere, band, sample, |strip, rows, target| {
-            cut_strip(sphere, sample, strip, rows, target);
-        }),
-        Interpolation::Cubic => cut_tiles(sphere, band, sample_cubic, |strip, rows, target| {
-            cut_strip(sphere, sample_cubic, strip, rows, target);
+fn cut_band_with<const CUBIC: bool>(kernel: Kernel, sphere: &SphereImage<'_>, band: RowBand<'_>) {
+    match kernel {
+        // SAFETY: `works_on` has checked that the processor has AVX2, and that the stride is within
+        // its limit.
+        #[cfg(target_arch = "x86_64")]
+        Kernel::Avx2 if kernel.works_on(sphere) => unsafe {
+            cut_band_avx2::<false, CUBIC>(sphere, band);
+        },
+        // SAFETY: as above.
+        #[cfg(target_arch = "x86_64")]
+        Kernel::Avx2Gather if kernel.works_on(sphere) => unsafe {
+            cut_band_avx2::<true, CUBIC>(sphere, band);
+        },
+        _ => cut_tiles::<CUBIC>(sphere, band, |strip, rows, out, stride| {
+            cut_strip::<CUBIC>(sphere, strip, rows, out, stride);
         }),
     }
 }
 
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2")]
-fn cut_band_avx2<const GATHERED: bool>(sphere: &SphereImage<'_>, band: Band<'_>) {
-    let (columns, lines) = (sphere.camera.width() as i32, sphere.camera.height() as i32);
-    // Range of the positions whose neighbours all lie in the image, 1/65536 px: `before` pixels in front of the
-    // position, and `after` behind it.
-    let inside = |before: i32, after: i32| {
-        [columns, lines].map(|side| [before << 16, ((side - after) << 16) - 1])
-    };
-    let stays = |strip: &Strip, rows: usize, inside: [[i32; 2]; 2]| {
+fn cut_band_avx2<const GATHERED: bool, const CUBIC: bool>(
+    sphere: &SphereImage<'_>,
+    band: RowBand<'_>,
+) {
+    // A position has so many neighbours before itself, and after.
+    let (before, after) = if CUBIC { (1, 2) } else { (0, 1) };
+    // Range of the positions whose neighbours all lie in the image, 1/65536 px.
+    let inside = [sphere.camera.width(), sphere.camera.height()]
+        .map(|side| [before << 16, ((side as i32 - after) << 16) - 1]);
+    cut_tiles::<CUBIC>(sphere, band, |strip, rows, out, stride| {
         let computed = rows.next_multiple_of(4) as i32;
-        let [column, line] = &strip.series;
-        column.stays_within(computed, inside[0]) & line.stays_within(computed, inside[1])
-    };
-    match band.cut.interpolation {
-        Interpolation::Bilinear => {
-            let inside = inside(0, 1);
-            cut_tiles(sphere, band, sample, |strip, rows, target| {
-                if stays(strip, rows, inside) {
-                    // SAFETY: `stays` has checked both coordinates over the rows rounded up to fours, and
-                    // `works_on` the stride before this function was called.
-                    unsafe { super::avx2::cut_strip::<GATHERED>(sphere, strip, rows, target) };
-                } else {
-                    cut_strip(sphere, sample, strip, rows, target);
-                }
-            });
+        let [column, line] = strip;
+        if !(column.stays_within(computed, inside[0]) & line.stays_within(computed, inside[1])) {
+            cut_strip::<CUBIC>(sphere, strip, rows, out, stride);
+        } else if CUBIC {
+            // SAFETY: both coordinates were checked over the rows rounded up to fours, with the
+            // cubic's neighbourhood, and `works_on` has checked the stride before this function was
+            // called.
+            unsafe { super::avx2::cut_strip_cubic::<GATHERED>(sphere, strip, rows, out, stride) };
+        } else {
+            // SAFETY: as above, with the neighbourhood of two by two pixels.
+            unsafe { super::avx2::cut_strip::<GATHERED>(sphere, strip, rows, out, stride) };
         }
-        Interpolation::Cubic => {
-            let inside = inside(1, 2);
-            cut_tiles(sphere, band, sample_cubic, |strip, rows, target| {
-                if stays(strip, rows, inside) {
-                    // SAFETY: as above, with the cubic's wider neighbourhood.
-                    unsafe {
-                        super::avx2::cut_strip_cubic::<GATHERED>(sphere, strip, rows, target)
-                    };
-                } else {
-                    cut_strip(sphere, sample_cubic, strip, rows, target);
-                }
-            });
-        }
-    }
+    });
 }
-
-/// The grey value of the sphere image at a position, 1/65536 px.
-trait Sample: Fn(&SphereImage<'_>, [i32; 2]) -> u8 + Copy {}
-impl<F: Fn(&SphereImage<'_>, [i32; 2]) -> u8 + Copy> Sample for F {}
 
 /// Cuts a strip pixel by pixel, also across the seam.
 #[inline(always)]
-fn cut_strip(
+fn cut_strip<const CUBIC: bool>(
     sphere: &SphereImage<'_>,
-    sample: impl Sample,
     strip: &Strip,
     rows: usize,
-    target: &mut Target<'_>,
+    out: &mut [u8],
+    stride: usize,
 ) {
-    let [mut column, mut line] = strip.series;
+    let [mut column, mut line] = *strip;
     for row in 0..rows {
         let mut greys = [0; LANES];
         for (k, grey) in greys.iter_mut().enumerate() {
-            *grey = sample(sphere, [column.value[k], line.value[k]]);
+            *grey = sample_by::<CUBIC>(sphere, [column.value[k], line.value[k]]);
         }
-        target.put(row, greys);
+        put(out, stride, row, greys);
         column.advance();
         line.advance();
     }
 }
 
-/// Divides a band into tiles and cuts each of them: strip by strip with `cut_strip`, and where the mapping cannot be
-/// interpolated, pixel by pixel with `sample`.
+/// Divides a band into tiles and cuts each of them: strip by strip with `cut_strip`, and where the
+/// mapping cannot be interpolated, pixel by pixel.
 #[inline(always)]
-fn cut_tiles(
+fn cut_tiles<const CUBIC: bool>(
     sphere: &SphereImage<'_>,
-    band: Band<'_>,
-    sample: impl Sample,
-    cut_strip: impl Fn(&Strip, usize, &mut Target<'_>),
+    band: RowBand<'_>,
+    cut_strip: impl Fn(&Strip, usize, &mut [u8], usize),
 ) {
     let camera = sphere.camera.at_distance(band.cut.distance_m);
     let view = &band.cut.view;
     match camera.as_equirectangular() {
         Some(camera) => {
             let mapping = EquirectangularMapping::new(camera, view);
-            cut_tiles_by(&mapping, sphere, band, sample, cut_strip);
+            cut_tiles_by::<CUBIC>(&mapping, sphere, band, cut_strip);
         }
         None => {
             let mapping = CameraMapping::new(&camera, view);
-            cut_tiles_by(&mapping, sphere, band, sample, cut_strip);
+            cut_tiles_by::<CUBIC>(&mapping, sphere, band, cut_strip);
         }
     }
 }
 
 #[inline(always)]
-fn cut_tiles_by(
+fn cut_tiles_by<const CUBIC: bool>(
     mapping: &impl Mapping,
     sphere: &SphereImage<'_>,
-    band: Band<'_>,
-    sample: impl Sample,
-    cut_strip: impl Fn(&Strip, usize, &mut Target<'_>),
+    band: RowBand<'_>,
+    cut_strip: impl Fn(&Strip, usize, &mut [u8], usize),
 ) {
-    let Band { cut, y: top, rows, out, stride } = band;
+    let RowBand { cut, y: top, rows, out, stride } = band;
     let size = cut.view.size_px;
     let mut pending = Vec::new();
     for y in (0..rows).step_by(MAX_ROWS as usize) {
@@ -260,27 +239,26 @@ fn cut_tiles_by(
             // Whole strips: the last tile overlaps with its left neighbour.
             let whole = width.next_multiple_of(LANES as u32).min(size);
             let height = (rows - y).min(MAX_ROWS);
-            pending.push(Tile { x: x + width - whole, y: top + y, width: whole, height });
+            pending.push(ViewTile { x: x + width - whole, y: top + y, width: whole, height });
             while let Some(tile) = pending.pop() {
                 let at = (tile.y - top) as usize * stride + tile.x as usize;
                 // A view narrower than a strip has no whole strips.
                 let is_whole = tile.width.is_multiple_of(LANES as u32);
-                match if is_whole { mapping.fit(tile) } else { Fit::Split } {
-                    Fit::Patch(patch) => {
+                match if is_whole { mapping.fit(tile) } else { TileFit::Split } {
+                    TileFit::Interpolated(patch) => {
                         for first in (0..tile.width).step_by(LANES) {
                             let out = &mut out[at + first as usize..];
-                            let mut target = Target { out, stride };
-                            cut_strip(&patch.strip(first), tile.height as usize, &mut target);
+                            cut_strip(&patch.strip(first), tile.height as usize, out, stride);
                         }
                     }
-                    Fit::Blank => {
+                    TileFit::Blank => {
                         for line in out[at..].chunks_mut(stride).take(tile.height as usize) {
                             line[..tile.width as usize].fill(0);
                         }
                     }
-                    Fit::Split => match halves(tile) {
+                    TileFit::Split => match halves(tile) {
                         Some(halves) => pending.extend(halves),
-                        None => cut_exactly(mapping, sphere, sample, tile, &mut out[at..], stride),
+                        None => cut_exactly::<CUBIC>(mapping, sphere, tile, &mut out[at..], stride),
                     },
                 }
             }
@@ -289,16 +267,16 @@ fn cut_tiles_by(
 }
 
 /// The halves of a tile, of whole strips. `None` for the smallest tiles.
-fn halves(tile: Tile) -> Option<[Tile; 2]> {
+fn halves(tile: ViewTile) -> Option<[ViewTile; 2]> {
     let smallest = LANES as u32;
     if tile.width > smallest && tile.width >= tile.height {
         let width = (tile.width / 2).next_multiple_of(smallest);
-        let rest = Tile { x: tile.x + width, width: tile.width - width, ..tile };
-        Some([Tile { width, ..tile }, rest])
+        let rest = ViewTile { x: tile.x + width, width: tile.width - width, ..tile };
+        Some([ViewTile { width, ..tile }, rest])
     } else if tile.height > smallest {
         let height = tile.height / 2;
-        let rest = Tile { y: tile.y + height, height: tile.height - height, ..tile };
-        Some([Tile { height, ..tile }, rest])
+        let rest = ViewTile { y: tile.y + height, height: tile.height - height, ..tile };
+        Some([ViewTile { height, ..tile }, rest])
     } else {
         None
     }
@@ -306,11 +284,10 @@ fn halves(tile: Tile) -> Option<[Tile; 2]> {
 
 /// Cuts a tile no wider than `LANES` with the exact mapping of each pixel.
 #[inline(always)]
-fn cut_exactly(
+fn cut_exactly<const CUBIC: bool>(
     mapping: &impl Mapping,
     sphere: &SphereImage<'_>,
-    sample: impl Sample,
-    tile: Tile,
+    tile: ViewTile,
     out: &mut [u8],
     stride: usize,
 ) {
@@ -318,7 +295,7 @@ fn cut_exactly(
         let (columns, lines) = mapping.positions(tile.x, tile.y + row);
         let line = &mut out[row as usize * stride..][..tile.width as usize];
         for (grey, at) in line.iter_mut().zip(columns.into_iter().zip(lines)) {
-            *grey = sample(sphere, at.into());
+            *grey = sample_by::<CUBIC>(sphere, at.into());
         }
     }
 }

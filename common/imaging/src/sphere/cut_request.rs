@@ -22,9 +22,9 @@ pub enum Interpolation {
     /// From the four pixels around it.
     #[default]
     Bilinear,
-    /// From the sixteen pixels around it, by the cubic convolution that is exact for parabolas (Keys: *Cubic
-    /// convolution interpolation for digital image processing*, 1981; Catmull-Rom). It is sharper where a view is
-    /// magnified, at about three times the cost.
+    /// From the sixteen pixels around it, by the cubic convolution that is exact for parabolas
+    /// (Keys: *Cubic convolution interpolation for digital image processing*, 1981; Catmull-Rom).
+    /// It is sharper where a view is magnified, at about three times the cost.
     Cubic,
 }
 
@@ -54,9 +54,6 @@ impl Cut {
     }
 
     /// Refuses a view that shows nothing.
-    ///
-    /// # Errors
-    /// [`SphereError::View`].
     pub fn check(&self) -> Result<(), SphereError> {
         let View { camera_from_view, focal_px, size_px } = self.view;
         // A comparison with NaN is false, so NaN is refused too.

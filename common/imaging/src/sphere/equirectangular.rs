@@ -1,5 +1,5 @@
-//! The mapping into an equirectangular image with one centre, with a known bound of the interpolation error, and with
-//! angles by polynomials.
+//! The mapping into an equirectangular image with one centre, with a known bound of the
+//! interpolation error, and with angles by polynomials.
 
 use std::f64::consts::{FRAC_1_PI, TAU};
 
@@ -9,11 +9,11 @@ use nalgebra::Vector3;
 
 use super::angle::{atan, atan2};
 use super::fixed_point::{LANES, ONE, Positions, fixed};
-use super::mapping::{Fit, Mapping};
-use super::patch::{MAX_INTERPOLATION_ERROR_PX, NODE_COUNT, NODES, Patch, Tile};
+use super::mapping::{Mapping, TileFit};
+use super::patch::{MAX_INTERPOLATION_ERROR_PX, NODE_COUNT, NODES, TilePositions, ViewTile};
 
-/// A view of a sphere image. Directions are in the camera frame, in pixels of the view: the view's plane lies
-/// `focal_px` away.
+/// A view of a sphere image. Directions are in the camera frame, in pixels of the view: the view's
+/// plane lies `focal_px` away.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct EquirectangularMapping {
     /// Direction of the view's first pixel.
@@ -22,9 +22,7 @@ pub(super) struct EquirectangularMapping {
     right: Vector3<f64>,
     /// Vector from one pixel to the one below.
     down: Vector3<f64>,
-    /// Focal length, pixels.
     focal_px: f64,
-    /// Sides of the sphere image, pixels.
     width: f64,
     height: f64,
 }
@@ -43,8 +41,6 @@ impl EquirectangularMapping {
             height: f64::from(camera.height),
         }
     }
-
-    /// Direction of the view's point (x, y).
     #[inline(always)]
     fn direction(&self, x: f64, y: f64) -> Vector3<f64> {
         self.corner + self.right * x + self.down * y
@@ -76,15 +72,15 @@ impl EquirectangularMapping {
 }
 
 impl Mapping for EquirectangularMapping {
-    /// The error bound of the columns is strict. Longitude is the imaginary part of log(w) for w = x + iy, and w is
-    /// linear over the view's plane, so the third derivative along a step s is at most 2 |s/w|^3. Quadratic
-    /// interpolation through -1, 0, 1 leaves at most sqrt(3)/27 of it. Interpolating along the other coordinate adds
-    /// 5/4 of that one's error.
+    /// The error bound of the columns is strict. Longitude is the imaginary part of log(w) for w =
+    /// x + iy, and w is linear over the view's plane, so the third derivative along a step s is at
+    /// most 2 |s/w|^3. Quadratic interpolation through -1, 0, 1 leaves at most sqrt(3)/27 of it.
+    /// Interpolating along the other coordinate adds 5/4 of that one's error.
     ///
-    /// The bound of the rows, 1 + 1/|w|^2 in units of the focal length, is an envelope of the errors found over random
-    /// tiles.
+    /// The bound of the rows, 1 + 1/|w|^2 in units of the focal length, is an envelope of the
+    /// errors found over random tiles.
     #[inline(always)]
-    fn fit(&self, tile: Tile) -> Fit {
+    fn fit(&self, tile: ViewTile) -> TileFit {
         let (half_width, half_height) = (f64::from(tile.width) * 0.5, f64::from(tile.height) * 0.5);
         let middle = self
             .direction(f64::from(tile.x) + half_width - 0.5, f64::from(tile.y) + half_height - 0.5);
@@ -93,9 +89,9 @@ impl Mapping for EquirectangularMapping {
         let radius = length(middle.x, middle.y);
         let (reach_x, reach_y) = (length(right.x, right.y), length(down.x, down.y));
         let nearest = radius - reach_x - reach_y;
-        // The tile is farther from the pole than it is wide, so angles from its middle are below 45 degrees.
+        // The pole is farther than the tile is wide: angles from its middle are below 45 degrees.
         if nearest <= radius * 0.5 {
-            return Fit::Split;
+            return TileFit::Split;
         }
         let remainder = |x: f64, y: f64| 3f64.sqrt() / 27.0 * (x.powi(3) + 1.25 * y.powi(3));
         let column_error =
@@ -105,7 +101,7 @@ impl Mapping for EquirectangularMapping {
             * self.rows_per_radian()
             * remainder(half_width / self.focal_px, half_height / self.focal_px);
         if column_error > MAX_INTERPOLATION_ERROR_PX || row_error > MAX_INTERPOLATION_ERROR_PX {
-            return Fit::Split;
+            return TileFit::Split;
         }
 
         let [across_nodes, along_nodes] = NODES;
@@ -117,7 +113,7 @@ impl Mapping for EquirectangularMapping {
             let dx = right.x * across_nodes[k] + down.x * along_nodes[k];
             let dy = right.y * across_nodes[k] + down.y * along_nodes[k];
             let dz = right.z * across_nodes[k] + down.z * along_nodes[k];
-            // Angles relative to the middle's longitude and latitude, as arguments of complex quotients.
+            // Angles relative to the middle's, as arguments of complex quotients.
             let turned = dy * middle.x - dx * middle.y;
             let ahead = radius * radius + dx * middle.x + dy * middle.y;
             columns[k] = column_scale * atan(turned / ahead);
@@ -133,7 +129,7 @@ impl Mapping for EquirectangularMapping {
             self.columns_per_radian() * (std::f64::consts::PI - longitude) - 0.5,
             self.rows_per_radian() * (std::f64::consts::FRAC_PI_2 - latitude) - 0.5,
         );
-        Fit::Patch(Patch::through(tile, centre, &columns, &rows))
+        TileFit::Interpolated(TilePositions::through(tile, centre, &columns, &rows))
     }
 
     #[inline(always)]

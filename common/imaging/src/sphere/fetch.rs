@@ -1,8 +1,9 @@
 //! Eight loads at once, in the way that is faster on this processor.
 //!
-//! AVX2's gather instruction is usually the fastest. Microcode against Downfall (CVE-2022-40982) slows it down on
-//! Intel's processors from Skylake to Tiger Lake, by a factor of ten where that was measured. There, single loads are
-//! faster. A virtual machine does not tell which processor it has, so both are timed once in each process.
+//! AVX2's gather instruction is usually the fastest. Microcode against Downfall (CVE-2022-40982)
+//! slows it down on Intel's processors from Skylake to Tiger Lake, by a factor of ten where that
+//! was measured. There, single loads are faster. A virtual machine does not tell which processor it
+//! has, so both are timed once in each process.
 
 use std::arch::x86_64::*;
 use std::sync::LazyLock;
@@ -10,7 +11,7 @@ use std::time::{Duration, Instant};
 
 use super::fixed_point::LANES;
 
-/// Whether gathering is faster than single loads here. The first call takes about 20 us to measure it.
+/// Whether gathering is faster than single loads here. The first call measures it, in 20 us.
 pub(super) fn gathers() -> bool {
     static GATHERS: LazyLock<bool> = LazyLock::new(|| {
         // SAFETY: this function is called only where the processor has AVX2.

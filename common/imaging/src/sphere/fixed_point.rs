@@ -1,6 +1,6 @@
-//! Positions in the sphere image, in integers of 1/65536 px.
+//! Positions in the sphere image, in integers of 1/65536 px, and strips of pixels.
 
-/// Largest error of the interpolated mapping, pixels of the sphere image along its rows and along its columns.
+/// Largest error of the interpolated mapping along rows and columns of the sphere image, pixels.
 pub const MAX_MAPPING_ERROR_PX: f64 = 0.02;
 
 /// Fractional bits of a position in the sphere image.
@@ -27,10 +27,17 @@ pub(super) fn fixed(pixels: f64) -> i32 {
 /// The nearest integer of a number within 2^31. An arbitrary integer for any other number.
 #[inline(always)]
 pub(super) fn rounded(number: f64) -> i32 {
-    // From 2^52 on, the last bit of a double counts ones. So the lower half of the sum is the rounded number in two's
-    // complement. A cast would have to check for NaN and overflow.
+    // From 2^52 on, the last bit of a double counts ones. So the lower half of the sum is the
+    // rounded number in two's complement. A cast would have to check for NaN and overflow.
     const ALIGN: f64 = 1.5 * (1u64 << 52) as f64;
     (number + ALIGN).to_bits() as i32
+}
+
+/// Writes a row of a strip into `out`, which begins with its first pixel.
+#[inline(always)]
+pub(super) fn put(out: &mut [u8], stride: usize, row: usize, greys: [u8; LANES]) {
+    let at = row * stride;
+    out[at..at + LANES].copy_from_slice(&greys);
 }
 
 #[cfg(test)]

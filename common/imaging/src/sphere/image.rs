@@ -13,11 +13,11 @@ pub struct SphereImage<'a> {
 }
 
 impl<'a> SphereImage<'a> {
-    /// An image of rows as wide as the camera's, `stride` bytes apart. Bytes between rows are ignored.
+    /// An image with rows `stride` bytes apart. Bytes between rows are ignored.
     ///
     /// # Errors
-    /// Sides out of range, overlapping rows, or a slice that ends before the last pixel. The width of an
-    /// equirectangular image must be even, because half a turn must be whole pixels.
+    /// Sides out of range, overlapping rows, or a slice that ends before the last pixel. The width
+    /// of an equirectangular image must be even, because half a turn must be whole pixels.
     pub fn new(pixels: &'a [u8], stride: usize, camera: Camera) -> Result<Self, SphereError> {
         let (width, height) = (camera.width(), camera.height());
         let sides = 2..=MAX_SIDE_PX;

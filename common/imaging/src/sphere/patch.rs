@@ -6,35 +6,34 @@ use super::fixed_point::{LANES, ONE, fixed, rounded};
 /// [`super::fixed_point::MAX_MAPPING_ERROR_PX`].
 pub(super) const MAX_INTERPOLATION_ERROR_PX: f64 = 0.012;
 
-/// Number of nodes: twelve instead of nine, for whole vectors of four. The last three repeat the middle.
+/// Number of nodes: whole vectors of four, so the last three repeat the middle.
 pub(super) const NODE_COUNT: usize = 12;
 
-/// Where the mapping of a tile is evaluated, relative to its middle in halves of its sides: across, then along.
+/// Nodes of a tile, relative to its middle in halves of its sides: across, then along.
 pub(super) const NODES: [[f64; NODE_COUNT]; 2] = [
     [-1., 0., 1., -1., 0., 1., -1., 0., 1., 0., 0., 0.],
     [-1., -1., -1., 0., 0., 0., 1., 1., 1., 0., 0., 0.],
 ];
 
-/// Most rows of a tile. The rounding error of a second difference grows with the square of the rows.
+/// Most rows of a tile: rounding errors of a second difference grow with their square.
 pub(super) const MAX_ROWS: u32 = 32;
 
 /// A rectangle of a view: its first pixel and its sides, pixels.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Tile {
+pub(super) struct ViewTile {
     pub x: u32,
     pub y: u32,
     pub width: u32,
     pub height: u32,
 }
 
-/// A quadratic in each coordinate: `terms[power of y][power of x]`, 1/65536 px, for x and y from -1 to 1 over the
-/// tile.
+/// `terms[power of y][power of x]`, 1/65536 px, for x and y from -1 to 1 over the tile.
 type Quadratic = [[f32; 3]; 3];
 
 /// Positions in the sphere image over a tile, relative to that of the tile's middle.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Patch {
-    /// Position of the middle, 1/65536 px. The column may be off by one turn for pixels beyond the seam.
+pub(super) struct TilePositions {
+    /// Position of the middle, 1/65536 px; the column may be off by one turn beyond the seam.
     middle: [i32; 2],
     /// Columns, then rows.
     terms: [Quadratic; 2],
@@ -43,12 +42,8 @@ pub(super) struct Patch {
     half_height: f32,
 }
 
-/// Positions along `LANES` neighbouring columns of a view, by forward differences.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Strip {
-    /// Columns, then rows, of the sphere image.
-    pub series: [Series; 2],
-}
+/// Columns, then rows, of the sphere image along `LANES` columns of a view.
+pub(super) type Strip = [Series; 2];
 
 /// A quadratic sequence for each lane, 1/65536 px.
 #[derive(Debug, Clone, Copy)]
@@ -61,12 +56,12 @@ pub(super) struct Series {
     pub growth: [i32; LANES],
 }
 
-impl Patch {
-    /// The quadratic through the positions at the [`NODES`] of `tile`. `columns` and `rows` are relative to `middle`,
-    /// the position of the middle in pixels.
+impl TilePositions {
+    /// The quadratic through the positions at the [`NODES`] of `tile`. `columns` and `rows` are
+    /// relative to `middle`, the position of the middle in pixels.
     #[inline(always)]
     pub(super) fn through(
-        tile: Tile,
+        tile: ViewTile,
         middle: (f64, f64),
         columns: &[f64; NODE_COUNT],
         rows: &[f64; NODE_COUNT],
@@ -79,8 +74,7 @@ impl Patch {
         }
     }
 
-    /// Position of a point of the tile relative to that of its middle, pixels. The point is given in halves of the
-    /// tile's sides.
+    /// Position relative to that of the middle, pixels; the point in halves of the tile's sides.
     pub(super) fn offset_px(&self, across: f64, along: f64) -> [f64; 2] {
         self.terms.map(|terms| {
             let [constant, linear, square] = terms
@@ -92,7 +86,7 @@ impl Patch {
     /// Positions along the `LANES` columns from column `first` of the tile on.
     #[inline(always)]
     pub(super) fn strip(&self, first: u32) -> Strip {
-        Strip { series: [self.series(0, first), self.series(1, first)] }
+        [self.series(0, first), self.series(1, first)]
     }
 
     #[inline(always)]
@@ -104,8 +98,8 @@ impl Patch {
             let x = (first as f32 + k as f32 + 0.5 - self.half_width) / self.half_width;
             let at = |terms: &[f32; 3]| terms[0] + x * (terms[1] + x * terms[2]);
             let slope = at(linear) * per_row;
-            // The second difference is rounded first, and the other terms are computed with the rounded one, about the
-            // middle, where the error matters least.
+            // The second difference is rounded first, and the other terms are computed with the
+            // rounded one, about the middle, where the error matters least.
             let growth = rounded(f64::from(2.0 * at(square) * (per_row * per_row)));
             let bend = growth as f32;
             let value = at(constant) + top * (slope + 0.5 * bend * top);
@@ -119,8 +113,7 @@ impl Patch {
 }
 
 impl Series {
-    /// Whether all of the first `rows` values lie in `first` ..= `last`, in 1/65536 px. It may be `false` although they
-    /// do.
+    /// Whether all of the first `rows` values lie within the limits, or `false` if it is not sure.
     #[inline(always)]
     pub(super) fn stays_within(&self, rows: i32, [first, last]: [i32; 2]) -> bool {
         let steps = rows - 1;

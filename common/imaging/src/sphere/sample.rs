@@ -4,15 +4,16 @@ use super::cubic;
 use super::fixed_point::{FRACTION_BITS, NOWHERE};
 use super::image::SphereImage;
 
-/// Largest weight of a row. Times 255, the largest weight of a column, it is 2^22 within 2e-5, so that a shift divides
-/// by it. Smaller weights are truncated, by 0.5 each on average, so it is larger by two than 2^22/255.
+/// Largest weight of a row. Times 255, the largest weight of a column, it is 2^22 within 2e-5, so
+/// that a shift divides by it. Smaller weights are truncated, by 0.5 each on average, so it is
+/// larger by two than 2^22/255.
 pub(super) const ROW_WEIGHT: u16 = 16_450;
 
 /// Bits of the product of a column's and a row's weight.
 pub(super) const WEIGHT_BITS: u32 = 22;
 
-/// The grey value at a position between four pixels (upper left, upper right, lower left, lower right). The position is
-/// (column, row) in 1/65536 px, of which only the fractions count.
+/// The grey value at a position between four pixels (upper left, upper right, lower left, lower
+/// right). The position is (column, row) in 1/65536 px, of which only the fractions count.
 #[inline(always)]
 pub(super) fn blend([column, row]: [i32; 2], pixels: [u8; 4]) -> u8 {
     // Grey values are relative to 128, so that vector code can hold weighted sums in 16 bits.
@@ -29,7 +30,7 @@ pub(super) fn blend([column, row]: [i32; 2], pixels: [u8; 4]) -> u8 {
 
 /// The grey value at any position, 1/65536 px, interpolated bilinearly.
 #[inline(always)]
-pub(super) fn sample(sphere: &SphereImage<'_>, [column, row]: [i32; 2]) -> u8 {
+fn sample(sphere: &SphereImage<'_>, [column, row]: [i32; 2]) -> u8 {
     if column == NOWHERE {
         return 0;
     }
@@ -40,7 +41,7 @@ pub(super) fn sample(sphere: &SphereImage<'_>, [column, row]: [i32; 2]) -> u8 {
 
 /// The grey value at any position, 1/65536 px, interpolated by the cubic.
 #[inline(always)]
-pub(super) fn sample_cubic(sphere: &SphereImage<'_>, [column, row]: [i32; 2]) -> u8 {
+fn sample_cubic(sphere: &SphereImage<'_>, [column, row]: [i32; 2]) -> u8 {
     if column == NOWHERE {
         return 0;
     }
@@ -49,8 +50,15 @@ pub(super) fn sample_cubic(sphere: &SphereImage<'_>, [column, row]: [i32; 2]) ->
     cubic::blend([column, row], [line(0), line(1), line(2), line(3)])
 }
 
-/// The pixel at column `x` of row `y`, which may lie outside the image. An equirectangular image wraps around, and
-/// continues half a turn further beyond its first and last row. Others repeat their outermost pixels.
+/// The grey value at any position, 1/65536 px, by [`sample_cubic`] or [`sample`].
+#[inline(always)]
+pub(super) fn sample_by<const CUBIC: bool>(sphere: &SphereImage<'_>, at: [i32; 2]) -> u8 {
+    if CUBIC { sample_cubic(sphere, at) } else { sample(sphere, at) }
+}
+
+/// The pixel at column `x` of row `y`, which may lie outside the image. An equirectangular image
+/// wraps around, and continues half a turn further beyond its first and last row. Others repeat
+/// their outermost pixels.
 #[inline(always)]
 fn pixel(sphere: &SphereImage<'_>, x: i32, y: i32) -> u8 {
     let (width, height) = (sphere.camera.width() as i32, sphere.camera.height() as i32);
@@ -100,7 +108,8 @@ mod tests {
         let at = |x: f64, y: f64| sample(&sphere, [(x * 65_536.0) as i32, (y * 65_536.0) as i32]);
         assert_eq!(at(0.0, 0.0), 10);
         assert_eq!([at(-0.5, 0.0), at(3.5, 0.0), at(7.5, 0.0)], [25; 3]);
-        // Above column 0 of the first row lies column 2 of the same row. Below the last row it is the same.
+        // Above column 0 of the first row lies column 2 of the same row. Below the last row it is
+        // the same.
         assert_eq!([at(0.0, -0.5), at(0.0, 1.5)], [20, 60]);
     }
 }

@@ -1,4 +1,5 @@
-//! Exactly rendered markers: blurred as radiance, integrated over each pixel, with noise, and encoded.
+//! Exactly rendered markers: blurred as radiance, integrated over each pixel, with noise, and
+//! encoded.
 
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 
@@ -31,7 +32,8 @@ impl Dice {
     }
 }
 
-/// Code values of radiances, with noise of this size. The noise is that of photons and of the readout.
+/// Code values of radiances, with noise of this size. The noise is that of photons and of the
+/// readout.
 pub fn encode(radiances: &[f64], curve: TransferCurve, noise: f64, dice: &mut Dice) -> Vec<u8> {
     let code = |radiance: f64| match curve {
         TransferCurve::Linear => radiance,
@@ -102,7 +104,8 @@ pub struct Stripes {
 }
 
 impl Stripes {
-    /// Stripes of any direction, with a width of half a side to one and a half, and this share of light between them.
+    /// Stripes of any direction, with a width of half a side to one and a half, and this share of
+    /// light between them.
     pub fn of_shade(shade: f64, dice: &mut Dice) -> Self {
         Self {
             across_rad: dice.uniform(0.0, 6.3),

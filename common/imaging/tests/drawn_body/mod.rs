@@ -1,5 +1,5 @@
-//! Pictures of bodies, rendered by sampling, then blurred and encoded as by a camera. They do not use the model of
-//! alignment.
+//! Pictures of bodies, rendered by sampling, then blurred and encoded as by a camera. They do not
+//! use the model of alignment.
 
 use std::collections::BTreeMap;
 
@@ -11,7 +11,7 @@ use flockeye_imaging::image::LumaImage;
 use nalgebra::{Isometry3, Point3, Unit};
 
 /// Prints of five by five cells, seventeen of them, all different.
-pub fn prints() -> BTreeMap<u32, MarkerPrint> {
+pub(crate) fn prints() -> BTreeMap<u32, MarkerPrint> {
     let mut state = 0x2545_f491_u64;
     let mut random = move || {
         state ^= state << 13;
@@ -28,7 +28,7 @@ pub fn prints() -> BTreeMap<u32, MarkerPrint> {
 }
 
 /// A picture of a body at a known pose.
-pub struct Drawing {
+pub(crate) struct Drawing {
     /// Code values.
     pub pixels: Vec<u8>,
     /// The view that they show.
@@ -37,7 +37,7 @@ pub struct Drawing {
 
 impl Drawing {
     /// The image.
-    pub fn image(&self) -> LumaImage<'_> {
+    pub(crate) fn image(&self) -> LumaImage<'_> {
         let size = self.view.size_px as usize;
         LumaImage::new(&self.pixels, size, size, size).unwrap()
     }
@@ -104,7 +104,8 @@ fn kernel(blur_px: f64) -> Vec<f64> {
     weights.iter().map(|weight| weight / total).collect()
 }
 
-/// Blurs rows of fine samples into `count` pixels each, and transposes them, so that a second call blurs the columns.
+/// Blurs rows of fine samples into `count` pixels each, and transposes them, so that a second call
+/// blurs the columns.
 fn blurred(samples: &[f64], count: usize, rows: usize, kernel: &[f64]) -> Vec<f64> {
     let length = count * FINE;
     let before = (kernel.len() - FINE) / 2;
@@ -119,9 +120,10 @@ fn blurred(samples: &[f64], count: usize, rows: usize, kernel: &[f64]) -> Vec<f6
     pixels
 }
 
-/// Renders what a view of `focal_px` sees. The radiance is sampled 5 by 5 in each pixel, blurred by `blur_px` and
-/// integrated over the pixels. Noise is added, and the result is encoded as sRGB with 8 bits.
-pub fn draw(
+/// Renders what a view of `focal_px` sees. The radiance is sampled 5 by 5 in each pixel, blurred by
+/// `blur_px` and integrated over the pixels. Noise is added, and the result is encoded as sRGB with
+/// 8 bits.
+pub(crate) fn draw(
     body: &Body,
     pose: &Isometry3<f64>,
     focal_px: f64,

@@ -43,8 +43,8 @@ pub fn cameras() -> [Camera; 6] {
     ]
 }
 
-/// Views of difficult places: the poles, the seam, both, the border between two lenses, directions that no lens sees,
-/// the corners of wide views. One is easy.
+/// Views of difficult places: the poles, the seam, both, the border between two lenses, directions
+/// that no lens sees, the corners of wide views. One is easy.
 pub fn hard_views() -> Vec<View> {
     let directions = [
         (0.0, 0.0, 1.0),
@@ -69,7 +69,8 @@ pub fn hard_views() -> Vec<View> {
     views
 }
 
-/// Noise of full contrast, blurred by a Gaussian of 0.8 px. The first column is the last one's neighbour.
+/// Noise of full contrast, blurred by a Gaussian of 0.8 px. The first column is the last one's
+/// neighbour.
 pub fn panorama(camera: &Camera, stride: usize) -> Vec<u8> {
     let (width, height) = (camera.width() as usize, camera.height() as usize);
     let kernel: Vec<f32> = (-3..=3).map(|k| (-(k * k) as f32 / (2.0 * 0.64)).exp()).collect();
@@ -107,7 +108,8 @@ pub fn position(camera: &Camera, cut: &Cut, x: f64, y: f64) -> Option<SpherePixe
     camera.at_distance(cut.distance_m).project(&cut.view.ray(ViewPixel::new(x, y)))
 }
 
-/// The grey value of the cut's pixel (x, y), interpolated in the sphere image; black where that does not show it.
+/// The grey value of the cut's pixel (x, y), interpolated in the sphere image; black where that
+/// does not show it.
 pub fn grey(sphere: &SphereImage<'_>, cut: &Cut, x: f64, y: f64) -> f64 {
     let camera = sphere.camera();
     let Some(at) = position(camera, cut, x, y) else { return 0.0 };

@@ -2,7 +2,6 @@
 use flockeye_contract::wire::{ClockOffset, MAX_FRAME_REPORT_BYTES, frame_key};
 
 use super::*;
-use crate::freshness::NotOfNow;
 use crate::outbox::tests::frame_report;
 
 fn at(at: Instant, since: Duration, delivery: Delivery) -> Arrival {
@@ -10,7 +9,7 @@ fn at(at: Instant, since: Duration, delivery: Delivery) -> Arrival {
     let utc_ns = monotonic_ns + 1_700_000_000_000_000_000;
     Arrival {
         at: at + since,
-        time: ArrivalTime { monotonic_ns, utc_ns, is_synchronised: false },
+        time: ClockReading { monotonic_ns, utc_ns, is_synchronised: false },
         delivery,
     }
 }
@@ -79,7 +78,7 @@ fn what_is_said_twice_is_refused_until_the_drone_comes_back() {
     take(&mut peers, &key, &json(9), now).unwrap();
     for stamp in [9, 3] {
         let refused = take(&mut peers, &key, &json(stamp), now);
-        assert!(matches!(refused, Err(Refusal::NotOfNow(NotOfNow::Replayed { .. }))));
+        assert!(matches!(refused, Err(Refusal::Replayed { .. })));
     }
     assert_eq!(peers.observers["wren"].refused, Refused { replayed: 2, ..Refused::default() });
     peers.set_alive("wren", true, now);
@@ -165,8 +164,8 @@ fn alive_says_since_when() {
     assert_eq!(alive_in("flockeye/s/wr n/alive"), None);
 }
 
-/// Bytes drawn at random, and reports with bytes changed, cut and swapped: a million of them in all. None
-/// panics, none makes the table grow, and the valid ones between them arrive.
+/// Bytes drawn at random, and reports with bytes changed, cut and swapped: a million of them in
+/// all. None panics, none makes the table grow, and the valid ones between them arrive.
 #[test]
 fn a_million_hostile_payloads_do_no_harm() {
     use rand::{RngExt, SeedableRng, rngs::StdRng};

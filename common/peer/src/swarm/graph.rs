@@ -1,13 +1,14 @@
 //! Poses of all drones from the pairs that see each other, by least squares.
 //!
-//! A pose graph (Grisetti, Kümmerle, Stachniss, Burgard, "A Tutorial on Graph-Based SLAM", 2010): the drones
-//! are its nodes, and what one knows of the other's pose is an edge. Gauss-Newton moves all nodes but the
-//! first, which is the origin, until the edges fit best. The inverse of the normal matrix holds the
-//! covariances of the nodes, whatever chains and loops the edges form.
+//! A pose graph (Grisetti, Kümmerle, Stachniss, Burgard, "A Tutorial on Graph-Based SLAM", 2010):
+//! the drones are its nodes, and what one knows of the other's pose is an edge. Gauss-Newton moves
+//! all nodes but the first, which is the origin, until the edges fit best. The inverse of the
+//! normal matrix holds the covariances of the nodes, whatever chains and loops the edges form.
 
+use flockeye_geometry::pose::pose_difference;
 use nalgebra::{DMatrix, DVector, Isometry3, Matrix6, Vector6};
 
-use super::uncertain_pose::{UncertainPose, blocks, difference};
+use crate::uncertain_pose::{UncertainPose, blocks};
 
 /// Steps; from a chain's poses two or three are enough.
 const STEPS: usize = 8;
@@ -16,7 +17,7 @@ const SMALL_STEP: f64 = 1e-7;
 
 /// What is known of the pose of drone `to` in the frame of drone `from`.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Edge {
+pub struct PairPose {
     /// Number of the drone in whose frame the pose is.
     pub from: usize,
     /// Number of the drone whose pose it is.
@@ -27,7 +28,7 @@ pub struct Edge {
 
 /// A drone's place in the frame of the first one.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Node {
+pub struct DroneNode {
     /// Its pose in the first drone's frame.
     pub pose: UncertainPose,
     /// The drone that leads to it on the best chain of edges.
@@ -38,7 +39,7 @@ pub struct Node {
 #[derive(Debug, Clone, PartialEq)]
 pub struct Solution {
     /// The drones; none for those that no edges lead to, and for the first.
-    pub nodes: Vec<Option<Node>>,
+    pub nodes: Vec<Option<DroneNode>>,
     /// Sum of the squared Mahalanobis distances of all edges that lead somewhere.
     pub chi_square: f64,
     /// Its degrees of freedom: what is measured more than once.
@@ -46,10 +47,10 @@ pub struct Solution {
 }
 
 /// Finds the poses of `drones` drones. Drone 0 is the origin.
-pub fn solve(drones: usize, edges: &[Edge]) -> Solution {
+pub fn solve(drones: usize, edges: &[PairPose]) -> Solution {
     let mut nodes = chain(drones, edges);
-    let is_known = |nodes: &[Option<Node>], drone: usize| drone == 0 || nodes[drone].is_some();
-    let usable: Vec<(&Edge, Matrix6<f64>)> = edges
+    let is_known = |nodes: &[Option<DroneNode>], drone: usize| drone == 0 || nodes[drone].is_some();
+    let usable: Vec<(&PairPose, Matrix6<f64>)> = edges
         .iter()
         .filter(|edge| is_known(&nodes, edge.from) && is_known(&nodes, edge.to))
         .filter_map(|edge| Some((edge, edge.from_to.covariance.cholesky()?.inverse())))
@@ -103,11 +104,11 @@ pub fn solve(drones: usize, edges: &[Edge]) -> Solution {
 }
 
 /// The first guess: each drone by the chain of edges whose end is most certain.
-fn chain(drones: usize, edges: &[Edge]) -> Vec<Option<Node>> {
+fn chain(drones: usize, edges: &[PairPose]) -> Vec<Option<DroneNode>> {
     let origin = UncertainPose { a_from_b: Isometry3::identity(), covariance: Matrix6::zeros() };
-    let mut nodes: Vec<Option<Node>> = vec![None; drones];
+    let mut nodes: Vec<Option<DroneNode>> = vec![None; drones];
     loop {
-        let mut best: Option<(usize, Node)> = None;
+        let mut best: Option<(usize, DroneNode)> = None;
         for edge in edges {
             let inverse = edge.from_to.inverse();
             for (known, new, step) in
@@ -126,7 +127,7 @@ fn chain(drones: usize, edges: &[Edge]) -> Vec<Option<Node>> {
                     .as_ref()
                     .is_none_or(|(_, node)| pose.covariance.trace() < node.pose.covariance.trace());
                 if is_better && pose.covariance.trace().is_finite() {
-                    best = Some((new, Node { pose, through: known }));
+                    best = Some((new, DroneNode { pose, through: known }));
                 }
             }
         }
@@ -135,20 +136,20 @@ fn chain(drones: usize, edges: &[Edge]) -> Vec<Option<Node>> {
     }
 }
 
-fn pose_of(nodes: &[Option<Node>], drone: usize) -> Isometry3<f64> {
+fn pose_of(nodes: &[Option<DroneNode>], drone: usize) -> Isometry3<f64> {
     nodes[drone].map_or_else(Isometry3::identity, |node| node.pose.a_from_b)
 }
 
 /// What the edge says, less what the nodes say, in the axes of the edge's first drone.
-fn residual(nodes: &[Option<Node>], edge: &Edge) -> Vector6<f64> {
+fn residual(nodes: &[Option<DroneNode>], edge: &PairPose) -> Vector6<f64> {
     let said = pose_of(nodes, edge.from).inverse() * pose_of(nodes, edge.to);
-    difference(&said, &edge.from_to.a_from_b)
+    pose_difference(&edge.from_to.a_from_b, &said)
 }
 
 /// The normal equations at the nodes as they are.
 fn linearized(
-    nodes: &[Option<Node>],
-    edges: &[(&Edge, Matrix6<f64>)],
+    nodes: &[Option<DroneNode>],
+    edges: &[(&PairPose, Matrix6<f64>)],
     columns: &[Option<usize>],
     unknowns: usize,
 ) -> (DMatrix<f64>, DVector<f64>) {
@@ -176,10 +177,4 @@ fn linearized(
         }
     }
     (normal, right)
-}
-
-/// A pose moved by an error: for tests that make graphs.
-#[cfg(test)]
-pub(crate) fn disturbed(pose: &Isometry3<f64>, error: &Vector6<f64>) -> Isometry3<f64> {
-    super::uncertain_pose::moved(pose, error)
 }

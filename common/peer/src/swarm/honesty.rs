@@ -1,20 +1,23 @@
 //! The observers whose sightings contradict the others'.
 //!
-//! If all are right, the graph of all sightings fits as well as their covariances say. If it does not, each
-//! observer is left out in turn, as in the monitoring of satellites' signals (RAIM; Parkinson and Axelrad,
-//! 1988): whoever's sightings make more of the misfit than chance can is wrong, the worst first.
+//! If all are right, the graph of all sightings fits as well as their covariances say. If it does
+//! not, each observer is left out in turn, as in the monitoring of satellites' signals (RAIM;
+//! Parkinson and Axelrad, 1988): whoever's sightings make more of the misfit than chance can is
+//! wrong, the worst first.
+
+use std::collections::BTreeSet;
 
 use flockeye_geometry::filter::chi_square_quantile;
 
-use super::graph::{Edge, solve};
+use super::graph::{PairPose, solve};
 
-/// A misfit that chance makes less often than this is none of chance. Over a minute of checks, ten a second, of
-/// eight observers that is one false alarm in 200 minutes.
+/// A misfit that chance makes less often than this is none of chance. Over a minute of checks, ten
+/// a second, of eight observers that is one false alarm in 200 minutes.
 const CHANCE: f64 = 1e-6;
 
-/// The observers whose sightings contradict the others'. `edges` are sightings: each `from` its observer. Drone 0 is
-/// oneself, and believed.
-pub fn contradicting(drones: usize, edges: &[Edge]) -> Vec<usize> {
+/// The observers whose sightings contradict the others'. `edges` are sightings: each `from` its
+/// observer. Drone 0 is oneself, and believed.
+pub fn contradicting(drones: usize, edges: &[PairPose]) -> Vec<usize> {
     let mut left_out = Vec::new();
     let mut remaining = edges.to_vec();
     loop {
@@ -22,11 +25,11 @@ pub fn contradicting(drones: usize, edges: &[Edge]) -> Vec<usize> {
         if all.degrees == 0 || all.chi_square <= misfit_of_chance(all.degrees) {
             return left_out;
         }
-        let observers: std::collections::BTreeSet<usize> =
+        let observers: BTreeSet<usize> =
             remaining.iter().map(|edge| edge.from).filter(|&observer| observer != 0).collect();
         let mut worst: Option<(f64, usize)> = None;
         for observer in observers {
-            let others: Vec<Edge> =
+            let others: Vec<PairPose> =
                 remaining.iter().filter(|edge| edge.from != observer).copied().collect();
             let without = solve(drones, &others);
             let degrees = all.degrees.saturating_sub(without.degrees);

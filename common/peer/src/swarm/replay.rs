@@ -1,21 +1,23 @@
 //! A filter whose measurements may come late and out of order.
 //!
-//! One's own camera is heard of after some milliseconds, a peer's after its exposure, its work and the radio.
-//! A filter takes measurements in the order of their times. So the newest part of them is kept, the
-//! filter stands where that part begins, and each question runs it over the part again.
+//! One's own camera is heard of after some milliseconds, a peer's after its exposure, its work and
+//! the radio. A filter takes measurements in the order of their times. So the newest part of them
+//! is kept, the filter stands where that part begins, and each question runs it over the part
+//! again.
 //!
-//! How briskly two drones move is not known beforehand, and what is right for a gust is far too much for calm air:
-//! the filter then believes each new measurement rather than those before it, and gains nothing from a second
-//! observer. So filters for calmer and brisker motion run side by side. The one counts by which the measurements
-//! of the last second or so were likeliest (multiple models, Bar-Shalom, Li, Kirubarajan, section 11.6.2, with
-//! fading memory).
+//! How briskly two drones move is not known beforehand, and what is right for a gust is far too
+//! much for calm air: the filter then believes each new measurement rather than those before it,
+//! and gains nothing from a second observer. So filters for calmer and brisker motion run side by
+//! side. The one counts by which the measurements of the last second or so were likeliest (multiple
+//! models, Bar-Shalom, Li, Kirubarajan, section 11.6.2, with fading memory).
 
 use std::collections::VecDeque;
 
 use flockeye_geometry::ego_rotation::EgoRotation;
-use flockeye_geometry::filter::{FilterError, MotionModel, Prediction, Track, chi_square_gate};
+use flockeye_geometry::filter::{FilterError, MotionEstimate, MotionModel, chi_square_gate};
+use flockeye_geometry::pose::PoseEstimate;
 
-use super::uncertain_pose::UncertainPose;
+use crate::uncertain_pose::UncertainPose;
 
 /// Measurements that are so much older than the newest are taken in for good, seconds.
 const REPLAYED_S: f64 = 0.3;
@@ -23,7 +25,8 @@ const REPLAYED_S: f64 = 0.3;
 const MOST_WAITING: usize = 64;
 /// A right measurement lies within the gate with this probability.
 const GATE: f64 = 0.9999;
-/// After so many measurements outside the gate, one after the other, it is the filter that is wrong.
+/// After so many measurements outside the gate, one after the other, it is the filter that is
+/// wrong.
 const MOST_MISSES: u32 = 5;
 
 /// Motion of the filters side by side, as shares of the briskest.
@@ -31,29 +34,19 @@ const BRISKNESS: [f64; 3] = [1.0, 0.35, 0.12];
 /// After so long a measurement says less by a factor of e of how briskly a drone moves, seconds.
 const MEMORY_S: f64 = 1.0;
 
-/// A measured pose of one time.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct TimedPose {
-    /// When, seconds.
-    pub at_s: f64,
-    /// What.
-    pub pose: UncertainPose,
-}
-
 /// The filter of one pose, `first_from_second`.
 #[derive(Debug, Clone)]
 pub struct Replay {
     /// The filter at the first measurement that waits.
     filters: [Filter; BRISKNESS.len()],
-    /// In the order of their times.
-    waiting: VecDeque<TimedPose>,
+    /// Measured poses, in the order of their times, seconds.
+    waiting: VecDeque<(f64, UncertainPose)>,
 }
 
-/// A filter for one briskness.
 #[derive(Debug, Clone)]
 struct Filter {
     motion: MotionModel,
-    track: Option<Track>,
+    track: Option<MotionEstimate>,
     misses: u32,
     /// How likely the last measurements were, as a logarithm.
     likelihood: f64,
@@ -77,75 +70,74 @@ impl Replay {
 
     /// When it was measured last, seconds.
     pub fn newest_s(&self) -> Option<f64> {
-        let waiting = self.waiting.back().map(|newest| newest.at_s);
+        let waiting = self.waiting.back().map(|(newest_s, _)| *newest_s);
         waiting.or_else(|| self.begins_s())
     }
 
     /// When the measurements that wait begin, seconds.
     fn begins_s(&self) -> Option<f64> {
         let begins = self.filters.iter().filter_map(|filter| filter.track.as_ref());
-        begins.map(Track::stamp_s).reduce(f64::max)
+        begins.map(|track| track.stamp_s).reduce(f64::max)
     }
 
-    /// Takes in a measurement, by a first drone that turns as `ego` says. One that is older than all that
-    /// is still kept is left out.
-    pub fn add(&mut self, measured: TimedPose, ego: &EgoRotation) {
-        if !measured.at_s.is_finite() || !measured.pose.is_usable() {
+    /// Takes in a pose that was measured at `at_s`, seconds, by a first drone that turns as `ego`
+    /// says. One that is older than all that is still kept is left out.
+    pub fn add(&mut self, at_s: f64, measured: UncertainPose, ego: &EgoRotation) {
+        if !at_s.is_finite() || !measured.is_usable() {
             return;
         }
-        if self.begins_s().is_some_and(|begins_s| measured.at_s < begins_s) {
+        if self.begins_s().is_some_and(|begins_s| at_s < begins_s) {
             return;
         }
-        let place = self.waiting.partition_point(|waiting| waiting.at_s <= measured.at_s);
-        self.waiting.insert(place, measured);
-        let newest_s = self.newest_s().unwrap_or(measured.at_s);
-        while let Some(oldest) = self.waiting.front().copied()
-            && (oldest.at_s < newest_s - REPLAYED_S || self.waiting.len() > MOST_WAITING)
+        let place = self.waiting.partition_point(|(waiting_s, _)| *waiting_s <= at_s);
+        self.waiting.insert(place, (at_s, measured));
+        let newest_s = self.newest_s().unwrap_or(at_s);
+        while let Some((oldest_s, oldest)) = self.waiting.front().copied()
+            && (oldest_s < newest_s - REPLAYED_S || self.waiting.len() > MOST_WAITING)
         {
             self.waiting.pop_front();
-            self.filters.iter_mut().for_each(|filter| filter.take(&oldest, ego));
+            self.filters.iter_mut().for_each(|filter| filter.take(oldest_s, &oldest, ego));
         }
     }
 
-    /// What is known at `at_s`; none before the first measurement, or so long after the last that nothing is.
-    pub fn at(&self, at_s: f64, ego: &EgoRotation) -> Option<Prediction> {
+    /// What is known at `at_s`; none before the first measurement, or so long after the last that
+    /// nothing is.
+    pub fn at(&self, at_s: f64, ego: &EgoRotation) -> Option<MotionEstimate> {
         let mut filters = self.filters.clone();
-        for measured in self.waiting.iter().take_while(|waiting| waiting.at_s <= at_s) {
-            filters.iter_mut().for_each(|filter| filter.take(measured, ego));
+        for (waiting_s, measured) in self.waiting.iter().take_while(|(s, _)| *s <= at_s) {
+            filters.iter_mut().for_each(|filter| filter.take(*waiting_s, measured, ego));
         }
         let best = filters.into_iter().max_by(|a, b| a.likelihood.total_cmp(&b.likelihood))?;
-        best.track?.predict(at_s, ego).ok()
+        best.track?.predict(at_s, &best.motion, ego).ok()
     }
 }
 
 impl Filter {
     /// Takes a measurement into the track, or begins one with it.
-    fn take(&mut self, measured: &TimedPose, ego: &EgoRotation) {
-        let TimedPose { at_s, pose: UncertainPose { a_from_b, covariance } } = measured;
+    fn take(&mut self, at_s: f64, pose: &UncertainPose, ego: &EgoRotation) {
         let Some(track) = &mut self.track else {
-            self.begin(measured);
+            self.begin(at_s, pose);
             return;
         };
-        let since_s = at_s - track.stamp_s();
-        match track.update(*at_s, a_from_b, covariance, chi_square_gate_of_all(), ego) {
-            Ok(innovation) => {
+        let since_s = at_s - track.stamp_s;
+        match track.update(at_s, &estimate_of(pose), chi_square_gate_of_all(), &self.motion, ego) {
+            Ok(log_likelihood) => {
                 self.misses = 0;
-                self.remember(since_s, innovation.log_likelihood());
+                self.remember(since_s, log_likelihood);
             }
-            Err(FilterError::Gated { innovation, .. }) if self.misses < MOST_MISSES => {
+            Err(FilterError::Gated { log_likelihood, .. }) if self.misses < MOST_MISSES => {
                 self.misses += 1;
-                self.remember(0.0, innovation.log_likelihood());
+                self.remember(0.0, log_likelihood);
             }
-            Err(FilterError::Gated { .. } | FilterError::Gap { .. }) => self.begin(measured),
+            Err(FilterError::Gated { .. } | FilterError::Gap { .. }) => self.begin(at_s, pose),
             Err(FilterError::Unusable { .. } | FilterError::Past { .. }) => {}
         }
     }
 
-    fn begin(&mut self, measured: &TimedPose) {
+    fn begin(&mut self, at_s: f64, pose: &UncertainPose) {
         self.misses = 0;
-        let UncertainPose { a_from_b, covariance } = &measured.pose;
         // Measurements were checked when they came, so they can begin a track.
-        self.track = Track::start(measured.at_s, *a_from_b, covariance, self.motion).ok();
+        self.track = MotionEstimate::start(at_s, &estimate_of(pose), &self.motion).ok();
     }
 
     fn remember(&mut self, since_s: f64, likelihood: f64) {
@@ -153,7 +145,11 @@ impl Filter {
     }
 }
 
-/// The gate, computed once.
+/// The pose as the filter takes it: the second drone's in the axes of the first.
+fn estimate_of(pose: &UncertainPose) -> PoseEstimate {
+    PoseEstimate { camera_from_markers: pose.a_from_b, covariance: pose.covariance }
+}
+
 fn chi_square_gate_of_all() -> f64 {
     static VALUE: std::sync::OnceLock<f64> = std::sync::OnceLock::new();
     *VALUE.get_or_init(|| chi_square_gate(GATE))

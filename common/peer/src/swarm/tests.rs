@@ -1,18 +1,24 @@
 //! Swarms drawn at random: what is estimated, and how certain it claims to be, beside the truth.
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 
-use flockeye_contract::SwarmWay;
+use flockeye_contract::{MeasuredBy, SwarmWay, TrackState};
 use nalgebra::{Isometry3, Matrix6, Translation3, UnitQuaternion, Vector3, Vector6};
 use proptest::prelude::*;
 use rand::{RngExt, SeedableRng, rngs::StdRng};
 use rand_distr::StandardNormal;
 
-use super::estimator::{Observation, SwarmEstimator, SwarmModel};
-use super::graph::{Edge, disturbed, solve};
+use super::graph::{PairPose, solve};
 use super::honesty::contradicting;
-use super::uncertain_pose::{UncertainPose, difference};
-use flockeye_geometry::ego_rotation::EgoRotation;
+use super::view::{MOST_DRONES, SwarmView};
+use crate::report::PeerReport;
+use crate::uncertain_pose::UncertainPose;
 use flockeye_geometry::filter::{MotionModel, chi_square_quantile};
+use flockeye_geometry::pose::{moved as disturbed, pose_difference};
+
+/// The error that `pose` has if `truth` is right.
+fn difference(truth: &Isometry3<f64>, pose: &Isometry3<f64>) -> Vector6<f64> {
+    pose_difference(pose, truth)
+}
 
 fn normal(random: &mut StdRng) -> f64 {
     random.sample(StandardNormal)
@@ -82,7 +88,8 @@ proptest! {
         prop_assert!((pose.covariance - back.covariance).norm() < 1e-12);
     }
 
-    /// A covariance describes an error to first order: a small error goes the way that the Jacobians say.
+    /// A covariance describes an error to first order: a small error goes the way that the
+    /// Jacobians say.
     #[test]
     fn errors_of_inverses_and_chains_are_what_their_covariances_say(seed in any::<u64>()) {
         let mut random = StdRng::seed_from_u64(seed);
@@ -104,8 +111,8 @@ proptest! {
         prop_assert!((said - first * first.transpose() - second * second.transpose()).norm() < 1e-4 * said.norm());
     }
 
-    /// Julier and Uhlmann's promise: never too small, whatever the correlation. With the same covariance there
-    /// is nothing to gain.
+    /// Julier and Uhlmann's promise: never too small, whatever the correlation. With the same
+    /// covariance there is nothing to gain.
     #[test]
     fn an_intersection_claims_no_more_than_the_better_one(seed in any::<u64>()) {
         let mut random = StdRng::seed_from_u64(seed);
@@ -134,12 +141,12 @@ fn covariances_of_graphs_are_those_of_their_errors() {
             .map(|k| if k == 0 { Isometry3::identity() } else { any_pose(&mut random, 1.5) })
             .collect();
         // A chain 0-1-2-3, closed by 3-0, and 4 seen by 2 alone.
-        let edges: Vec<Edge> = [(0, 1), (1, 2), (2, 3), (3, 0), (2, 4)]
+        let edges: Vec<PairPose> = [(0, 1), (1, 2), (2, 3), (3, 0), (2, 4)]
             .into_iter()
             .map(|(from, to)| {
                 let covariance = any_covariance(&mut random) * 0.01;
                 let from_to = measured(&drones[from], &drones[to], covariance, &mut random);
-                Edge { from, to, from_to }
+                PairPose { from, to, from_to }
             })
             .collect();
         let solution = solve(5, &edges);
@@ -157,8 +164,10 @@ fn what_no_edge_leads_to_is_not_known() {
         a_from_b: Isometry3::translation(1.0, 0.0, 0.0),
         covariance: Matrix6::identity() * 1e-4,
     };
-    let solution =
-        solve(4, &[Edge { from: 2, to: 3, from_to: pose }, Edge { from: 1, to: 0, from_to: pose }]);
+    let solution = solve(
+        4,
+        &[PairPose { from: 2, to: 3, from_to: pose }, PairPose { from: 1, to: 0, from_to: pose }],
+    );
     assert!(solution.nodes[2].is_none() && solution.nodes[3].is_none());
     let one = solution.nodes[1].unwrap();
     assert!((one.pose.a_from_b.translation.x + 1.0).abs() < 1e-9);
@@ -182,7 +191,7 @@ fn of_five_observers_the_one_that_lies_is_found() {
                 if Some(from) == liar {
                     from_to.a_from_b.translation.vector.x += 1.0;
                 }
-                edges.push(Edge { from, to, from_to });
+                edges.push(PairPose { from, to, from_to });
             }
         }
         assert_eq!(contradicting(5, &edges), Vec::from_iter(liar));
@@ -213,14 +222,14 @@ impl Flight {
         Self { random, motion, now_s: 100.0, drones }
     }
 
-    /// Relative motion has the power of both drones' accelerations.
-    fn model(&self) -> SwarmModel {
+    /// What one drone knows. Relative motion has the power of both drones' accelerations.
+    fn view(&self) -> SwarmView {
         let motion = MotionModel {
             acceleration: self.motion.acceleration * 2f64.sqrt(),
             angular_acceleration: self.motion.angular_acceleration * 2f64.sqrt(),
             ..self.motion
         };
-        SwarmModel { own: motion, others: motion }
+        SwarmView::with_motion("own", motion, motion)
     }
 
     /// Moves by a piece of a step: white noise in small pieces.
@@ -238,12 +247,16 @@ impl Flight {
         }
     }
 
+    fn now_ns(&self) -> i64 {
+        (self.now_s * 1e9) as i64
+    }
+
     fn truth(&self, drone: usize) -> Isometry3<f64> {
         self.drones[0].0.inverse() * self.drones[drone].0
     }
 
     /// `observer` sees `target` now. A camera knows the range worst, and a facet's tilt.
-    fn see(&mut self, estimator: &mut SwarmEstimator, observer: usize, target: usize, lie: f64) {
+    fn see(&mut self, view: &mut SwarmView, observer: usize, target: usize, lie: f64) {
         let truth = self.drones[observer].0.inverse() * self.drones[target].0;
         let sight = truth.translation.vector.normalize();
         let along = sight * sight.transpose();
@@ -257,34 +270,47 @@ impl Flight {
             covariance,
         };
         pose.a_from_b.translation.vector.y += lie;
-        let seen = Observation {
-            observer: NAMES[observer],
-            target: NAMES[target],
-            at_s: self.now_s,
-            deviation_s: 0.0,
-            filtered: pose,
-            velocity: Vector3::zeros(),
-            rate: Vector3::zeros(),
-            measured: Some(pose),
-        };
-        estimator.see(&seen, &EgoRotation::new(1.0));
+        view.hear(&report(NAMES[observer], NAMES[target], self.now_ns(), pose, Some(pose)));
     }
 }
 
-fn place<'p>(places: &'p [super::Place], name: &str) -> Option<&'p super::Place> {
+/// What `observer` reports of `target`.
+fn report(
+    observer: &str,
+    target: &str,
+    exposure_monotonic_ns: i64,
+    pose: UncertainPose,
+    measured: Option<UncertainPose>,
+) -> PeerReport {
+    PeerReport {
+        observer: observer.into(),
+        target: target.into(),
+        frame: (0, 0),
+        state: TrackState::Confirmed,
+        measured_by: MeasuredBy::Decoded,
+        observer_from_target: pose,
+        measured,
+        velocity: Vector3::zeros(),
+        rate: Vector3::zeros(),
+        degenerate: None,
+        exposure_monotonic_ns,
+        exposure_deviation_ns: 0,
+    }
+}
+
+fn place<'p>(places: &'p [super::DronePlace], name: &str) -> Option<&'p super::DronePlace> {
     places.iter().find(|place| place.name == name)
 }
 
-/// Mutual and chained poses over 50 simulated swarms: own and wren see each other, wren and kite see each
-/// other, swift sees own and is not seen.
+/// Mutual and chained poses over 50 simulated swarms: own and wren see each other, wren and kite
+/// see each other, swift sees own and is not seen.
 #[test]
 fn mutual_and_chained_poses_are_as_certain_as_they_say() {
     let (mut sums, mut errors, runs) = ([0.0; 3], [[0.0; 2]; 2], 50);
-    let nobody = EgoRotation::new(1.0);
     for run in 0..runs {
         let mut flight = Flight::new(run as u64, 4);
-        let mut both = SwarmEstimator::new("own", flight.model());
-        let mut alone = SwarmEstimator::new("own", flight.model());
+        let mut both = flight.view();
+        let mut alone = flight.view();
         for _ in 0..60 {
             flight.step();
             for (observer, target) in [(0, 1), (1, 0), (1, 2), (2, 1), (3, 0)] {
@@ -292,7 +318,7 @@ fn mutual_and_chained_poses_are_as_certain_as_they_say() {
             }
             flight.see(&mut alone, 0, 1, 0.0);
         }
-        let places = both.places(flight.now_s, &nobody);
+        let places = both.places(flight.now_ns());
         for (k, (name, way)) in
             [("wren", SwarmWay::Mutual), ("kite", SwarmWay::Chained), ("swift", SwarmWay::Reported)]
                 .iter()
@@ -303,7 +329,7 @@ fn mutual_and_chained_poses_are_as_certain_as_they_say() {
             sums[k] += nees(&place.own_from_drone, &flight.truth(k + 1));
         }
         assert_eq!(place(&places, "kite").unwrap().through.as_deref(), Some("wren"));
-        let single = alone.places(flight.now_s, &nobody);
+        let single = alone.places(flight.now_ns());
         for (k, places) in [&places, &single].into_iter().enumerate() {
             let error = difference(
                 &flight.truth(1),
@@ -324,63 +350,53 @@ fn mutual_and_chained_poses_are_as_certain_as_they_say() {
 #[test]
 fn late_reports_count_as_if_they_had_come_in_time() {
     let mut flight = Flight::new(3, 2);
-    let nobody = EgoRotation::new(1.0);
-    let mut in_time = SwarmEstimator::new("own", flight.model());
-    let mut late = SwarmEstimator::new("own", flight.model());
+    let mut in_time = flight.view();
+    let mut late = flight.view();
     let mut held = Vec::new();
     for frame in 0..60 {
         flight.step();
         let truth = flight.truth(1);
         let pose = UncertainPose { a_from_b: truth, covariance: Matrix6::identity() * 1e-5 };
-        let seen = |observer, target, pose: UncertainPose| Observation {
-            observer,
-            target,
-            at_s: flight.now_s,
-            deviation_s: 0.0,
-            filtered: pose,
-            velocity: Vector3::zeros(),
-            rate: Vector3::zeros(),
-            measured: Some(pose),
-        };
+        let seen =
+            |observer, target, pose| report(observer, target, flight.now_ns(), pose, Some(pose));
         let (own, theirs) = (seen("own", "wren", pose), seen("wren", "own", pose.inverse()));
-        in_time.see(&own, &nobody);
-        in_time.see(&theirs, &nobody);
-        late.see(&own, &nobody);
+        in_time.hear(&own);
+        in_time.hear(&theirs);
+        late.hear(&own);
         // Up to six frames on the way.
         held.push((frame + (frame * 7) % 6, theirs));
         held.retain(|(due, theirs)| {
             let is_due = *due <= frame;
             if is_due {
-                late.see(theirs, &nobody);
+                late.hear(theirs);
             }
             !is_due
         });
     }
-    held.iter().for_each(|(_, theirs)| late.see(theirs, &nobody));
-    let (one, two) = (in_time.places(flight.now_s, &nobody), late.places(flight.now_s, &nobody));
+    held.iter().for_each(|(_, theirs)| late.hear(theirs));
+    let (one, two) = (in_time.places(flight.now_ns()), late.places(flight.now_ns()));
     let between = difference(&one[0].own_from_drone.a_from_b, &two[0].own_from_drone.a_from_b);
     assert!(between.norm() < 1e-9, "{between}");
     assert!((one[0].own_from_drone.covariance - two[0].own_from_drone.covariance).norm() < 1e-9);
 }
 
-/// With one liar among four observers the others' poses are as if it were not there, and it comes back when it
-/// has told the truth for long enough.
+/// With one liar among four observers the others' poses are as if it were not there, and it comes
+/// back when it has told the truth for long enough.
 #[test]
 fn a_liar_is_left_out_and_forgiven() {
     let mut flight = Flight::new(5, 4);
-    let nobody = EgoRotation::new(1.0);
-    let mut estimator = SwarmEstimator::new("own", flight.model());
-    let mut fly = |estimator: &mut SwarmEstimator, frames: usize, lie: f64| {
+    let mut view = flight.view();
+    let mut fly = |view: &mut SwarmView, frames: usize, lie: f64| {
         let mut places = Vec::new();
         for _ in 0..frames {
             flight.step();
             for observer in 0..4 {
                 for target in (0..4).filter(|&target| target != observer) {
                     let lie = if observer == 2 { lie } else { 0.0 };
-                    flight.see(estimator, observer, target, lie);
+                    flight.see(view, observer, target, lie);
                 }
             }
-            places = estimator.places(flight.now_s, &nobody);
+            places = view.places(flight.now_ns());
         }
         let error = |drone: usize| {
             let place = place(&places, NAMES[drone]).unwrap();
@@ -390,59 +406,39 @@ fn a_liar_is_left_out_and_forgiven() {
         };
         [error(1), error(2), error(3)]
     };
-    assert!(fly(&mut estimator, 30, 0.0).iter().all(|error| *error < 0.01));
-    assert_eq!(estimator.left_out().count(), 0);
-    let errors = fly(&mut estimator, 30, 1.0);
-    assert_eq!(estimator.left_out().collect::<Vec<_>>(), ["kite"]);
+    assert!(fly(&mut view, 30, 0.0).iter().all(|error| *error < 0.01));
+    assert_eq!(view.left_out().len(), 0);
+    let errors = fly(&mut view, 30, 1.0);
+    assert_eq!(view.left_out(), ["kite"]);
     assert!(errors.iter().all(|error| *error < 0.02), "{errors:?}");
     // Five seconds, and what it took to find nothing wrong any more.
-    fly(&mut estimator, 60, 0.0);
-    assert_eq!(estimator.left_out().count(), 1, "not forgiven yet");
-    fly(&mut estimator, 120, 0.0);
-    assert_eq!(estimator.left_out().count(), 0);
+    fly(&mut view, 60, 0.0);
+    assert_eq!(view.left_out().len(), 1, "not forgiven yet");
+    fly(&mut view, 120, 0.0);
+    assert_eq!(view.left_out().len(), 0);
 }
 
 #[test]
 fn names_and_numbers_that_are_none_do_no_harm() {
-    let nobody = EgoRotation::new(1.0);
-    let mut estimator = SwarmEstimator::new("own", SwarmModel::default());
+    const SECOND: i64 = 1_000_000_000;
+    let mut view = SwarmView::from("own");
     let good = UncertainPose {
         a_from_b: Isometry3::translation(1.0, 0.0, 0.0),
         covariance: Matrix6::identity() * 1e-4,
     };
-    let seen = |observer: &str,
-                target: &str,
-                at_s: f64,
-                pose: UncertainPose,
-                estimator: &mut SwarmEstimator| {
-        let seen = Observation {
-            observer,
-            target,
-            at_s,
-            deviation_s: 0.0,
-            filtered: pose,
-            velocity: Vector3::zeros(),
-            rate: Vector3::zeros(),
-            measured: None,
-        };
-        estimator.see(&seen, &nobody);
+    let hear = |observer: &str, target: &str, pose: UncertainPose, view: &mut SwarmView| {
+        view.hear(&report(observer, target, SECOND, pose, None));
     };
-    seen("wren", "wren", 1.0, good, &mut estimator);
-    seen("wren", "own", f64::NAN, good, &mut estimator);
-    seen(
-        "wren",
-        "own",
-        1.0,
-        UncertainPose { covariance: Matrix6::zeros(), ..good },
-        &mut estimator,
-    );
-    assert!(estimator.places(1.0, &nobody).is_empty());
-    (0..200).for_each(|k| seen(&format!("drone-{k}"), "own", 1.0, good, &mut estimator));
-    assert_eq!(estimator.places(1.0, &nobody).len(), super::estimator::MOST_DRONES - 1);
-    estimator.lose("drone-1", "own");
-    assert!(place(&estimator.places(1.0, &nobody), "drone-1").is_none());
-    assert!(estimator.places(3.0, &nobody).is_empty(), "forgotten");
+    hear("wren", "wren", good, &mut view);
+    hear("wren", "own", UncertainPose { covariance: Matrix6::zeros(), ..good }, &mut view);
+    assert!(view.places(SECOND).is_empty());
+    (0..200).for_each(|k| hear(&format!("drone-{k}"), "own", good, &mut view));
+    assert_eq!(view.places(SECOND).len(), MOST_DRONES - 1);
+    let lost = report("drone-1", "own", SECOND, good, None);
+    view.hear(&PeerReport { state: TrackState::Lost, ..lost });
+    assert!(place(&view.places(SECOND), "drone-1").is_none());
+    assert!(view.places(3 * SECOND).is_empty(), "forgotten");
     // There is room for others then.
-    seen("robin", "own", 3.0, good, &mut estimator);
-    assert!(place(&estimator.places(3.0, &nobody), "robin").is_some());
+    view.hear(&report("robin", "own", 3 * SECOND, good, None));
+    assert!(place(&view.places(3 * SECOND), "robin").is_some());
 }

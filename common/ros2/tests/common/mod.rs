@@ -3,7 +3,7 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, dead_code, unused_imports)]
 
 pub use flockeye_require::loopback::*;
-use flockeye_ros2::{NeighbourPose, ObserverSeen, RelativePose, Ros2Parameters, Velocity};
+use flockeye_ros2::{ObserverSeen, RelativePose, Ros2Parameters};
 use zenoh::{Session, Wait};
 
 /// A node that connects to a router at `port`, in domain 3.
@@ -29,8 +29,10 @@ pub fn router(port: u16) -> Session {
     session("router", Some(port), None)
 }
 
-fn pose() -> RelativePose {
+/// Where the observer sees `name`, or is seen by it.
+pub fn neighbour(name: &str) -> RelativePose {
     RelativePose {
+        name: name.into(),
         stamp_utc_ns: 1_700_000_000_000_000_123,
         position: [1.0, -2.0, 0.5],
         orientation: [0.0, 0.0, 0.6, 0.8],
@@ -38,13 +40,8 @@ fn pose() -> RelativePose {
     }
 }
 
-/// Where the observer sees `target`.
-pub fn neighbour(target: &str) -> NeighbourPose {
-    NeighbourPose { target: target.into(), pose: pose() }
-}
-
 /// Where `peer` sees the observer, which flies to the peer's left at 2 m/s.
 pub fn seen(peer: &str) -> ObserverSeen {
-    let velocity = Velocity { linear: [0.0, 2.0, 0.0], angular: [0.0, 0.0, 0.1] };
-    ObserverSeen { peer: peer.into(), pose: pose(), velocity: Some(velocity) }
+    let (linear_velocity, angular_velocity) = ([0.0, 2.0, 0.0], [0.0, 0.0, 0.1]);
+    ObserverSeen { pose: neighbour(peer), linear_velocity, angular_velocity }
 }

@@ -14,7 +14,7 @@ use iceoryx2::port::{BackpressureAction, BackpressureInfo};
 use iceoryx2::prelude::*;
 use iceoryx2::sample_mut_uninit::SampleMutUninit;
 
-use super::error::{OpenError, PublishError};
+use super::error::PortError;
 use super::services::{DataService, Service, WakeService};
 use crate::health::SharedCounters;
 use crate::memory::Limits;
@@ -62,7 +62,7 @@ impl<T: Topic> Publisher<T> {
         wake: &WakeService,
         limits: &Limits,
         counters: SharedCounters,
-    ) -> Result<Self, OpenError> {
+    ) -> Result<Self, PortError> {
         let topic = T::NAME;
         let strategy = match limits.grows_to {
             Some(_) => AllocationStrategy::PowerOfTwo,
@@ -75,9 +75,9 @@ impl<T: Topic> Publisher<T> {
             .max_loaned_samples(limits.loaned)
             .set_backpressure_handler(waits_for_readers(T::NAME, limits.patience))
             .create()
-            .map_err(|reason| OpenError::Publisher { topic, reason })?;
+            .map_err(|reason| PortError::Publisher { topic, reason })?;
         let notifier = wake.notifier_builder().create();
-        let notifier = notifier.map_err(|reason| OpenError::Notifier { topic, reason })?;
+        let notifier = notifier.map_err(|reason| PortError::Notifier { topic, reason })?;
         let max_items = limits.grows_to.unwrap_or(limits.items);
         Ok(Self { publisher, notifier, counters, max_items, service })
     }
@@ -97,13 +97,13 @@ impl<T: Topic> Publisher<T> {
     /// # Errors
     /// More items than the topic has room for, or no memory because subscribers keep too many
     /// messages.
-    pub fn loan(&self, items: usize) -> Result<Loan<'_, T>, PublishError> {
+    pub fn loan(&self, items: usize) -> Result<Loan<'_, T>, PortError> {
         let (topic, room) = (T::NAME, self.max_items);
         if items > room {
-            return Err(PublishError::TooManyItems { topic, items, room });
+            return Err(PortError::TooManyItems { topic, items, room });
         }
         let sample = self.publisher.loan_slice_uninit(items);
-        let sample = sample.map_err(|reason| PublishError::Loan { topic, reason })?;
+        let sample = sample.map_err(|reason| PortError::Loan { topic, reason })?;
         Ok(Loan { unsent: UnsentMessage { sample }, publisher: self })
     }
 
@@ -116,7 +116,7 @@ impl<T: Topic> Publisher<T> {
     ///
     /// # Errors
     /// As [`Publisher::loan`] and [`Loan::send`].
-    pub fn send(&self, header: T::Header, items: &[T::Item]) -> Result<(), PublishError> {
+    pub fn send(&self, header: T::Header, items: &[T::Item]) -> Result<(), PortError> {
         let mut loan = self.loan(items.len())?;
         loan.items_mut().copy_from_slice(items);
         loan.send(header)
@@ -126,11 +126,11 @@ impl<T: Topic> Publisher<T> {
     /// topic's history.
     ///
     /// # Errors
-    /// [`PublishError`] with iceoryx2's reason.
-    pub fn update_connections(&self) -> Result<(), PublishError> {
+    /// [`PortError`] with iceoryx2's reason.
+    pub fn update_connections(&self) -> Result<(), PortError> {
         self.publisher
             .update_connections()
-            .map_err(|reason| PublishError::Connection { topic: T::NAME, reason })
+            .map_err(|reason| PortError::PublisherConnection { topic: T::NAME, reason })
     }
 }
 
@@ -163,16 +163,16 @@ impl<T: Topic> Loan<'_, T> {
     /// Publishes it under `header` and wakes the subscribers.
     ///
     /// # Errors
-    /// [`PublishError`] with iceoryx2's reason.
-    pub fn send(mut self, header: T::Header) -> Result<(), PublishError> {
+    /// [`PortError`] with iceoryx2's reason.
+    pub fn send(mut self, header: T::Header) -> Result<(), PortError> {
         let topic = T::NAME;
         *self.unsent.sample.user_header_mut() = header;
         // SAFETY: as in `items_mut`: every byte of mapped memory has a value, valid for a `Pod`.
         let sample = unsafe { self.unsent.sample.assume_init() };
-        sample.send().map_err(|reason| PublishError::Send { topic, reason })?;
+        sample.send().map_err(|reason| PortError::Send { topic, reason })?;
         self.publisher.counters.add_published(1);
         let woken = self.publisher.notifier.notify();
-        woken.map_err(|reason| PublishError::WakeUp { topic, reason })?;
+        woken.map_err(|reason| PortError::WakeUp { topic, reason })?;
         Ok(())
     }
 }

@@ -4,7 +4,7 @@ use flockeye_contract::{CONTRACT_VERSION, Topic, TopicVisitor, VERSION_ATTRIBUTE
 use iceoryx2::prelude::*;
 use iceoryx2::service::port_factory::{event, publish_subscribe};
 
-use super::error::CreateError;
+use super::error::PortError;
 use crate::memory::{Budget, Limits, MAX_EVENT_PORTS, MAX_NODES};
 
 /// Shared memory between processes.
@@ -16,40 +16,37 @@ pub(super) type DataService<T> =
 pub(super) type WakeService = event::PortFactory<Service>;
 
 /// Keeps a topic's services alive while no stage has them open.
-pub struct TopicServices {
-    _data: Box<dyn std::any::Any>,
-    _wake: WakeService,
-}
+pub type TopicServices = Box<dyn std::any::Any>;
 
 /// Creates the services of one topic, every lane of it, with its limits. Where stages fly on
 /// without a launcher, the services are there, and must have these limits.
 ///
 /// # Errors
-/// [`CreateError`] with iceoryx2's reason.
+/// [`PortError`] with iceoryx2's reason.
 pub fn create_services<T: Topic + 'static>(
     node: &Node<Service>,
     limits: &Limits,
-) -> Result<Vec<TopicServices>, CreateError> {
+) -> Result<Vec<TopicServices>, PortError> {
     (0..limits.lanes).map(|lane| create_lane::<T>(node, limits, lane)).collect()
 }
 
 /// Creates the services of all topics, with their limits.
 ///
 /// # Errors
-/// [`CreateError`] with iceoryx2's reason.
+/// [`PortError`] with iceoryx2's reason.
 pub fn create_all_services(
     node: &Node<Service>,
     budget: &Budget,
-) -> Result<Vec<TopicServices>, CreateError> {
+) -> Result<Vec<TopicServices>, PortError> {
     struct Creation<'a> {
         node: &'a Node<Service>,
         budget: &'a Budget,
         services: Vec<TopicServices>,
     }
     impl TopicVisitor for Creation<'_> {
-        type Error = CreateError;
+        type Error = PortError;
 
-        fn visit<T: Topic + 'static>(&mut self) -> Result<(), CreateError> {
+        fn visit<T: Topic + 'static>(&mut self) -> Result<(), PortError> {
             let limits = self.budget.topic::<T>();
             self.services.extend(create_services::<T>(self.node, limits)?);
             Ok(())
@@ -64,10 +61,10 @@ fn create_lane<T: Topic + 'static>(
     node: &Node<Service>,
     limits: &Limits,
     lane: usize,
-) -> Result<TopicServices, CreateError> {
+) -> Result<TopicServices, PortError> {
     let topic = T::NAME;
-    let name = service_name::<T>(limits, lane).ok_or(CreateError::Name { topic })?;
-    let version = version().ok_or(CreateError::Name { topic })?;
+    let name = service_name::<T>(limits, lane).ok_or(PortError::CreateName { topic })?;
+    let version = version().ok_or(PortError::CreateName { topic })?;
     let data = node
         .service_builder(&name)
         .publish_subscribe::<[T::Item]>()
@@ -80,7 +77,7 @@ fn create_lane<T: Topic + 'static>(
         .subscriber_max_borrowed_samples(limits.borrowed)
         .history_size(limits.history)
         .open_or_create_with_attributes(&version)
-        .map_err(|reason| CreateError::Messages { topic, reason })?;
+        .map_err(|reason| PortError::CreateMessages { topic, reason })?;
     let wake = node
         .service_builder(&name)
         .event()
@@ -88,8 +85,8 @@ fn create_lane<T: Topic + 'static>(
         .max_notifiers(MAX_EVENT_PORTS)
         .max_nodes(MAX_NODES)
         .open_or_create()
-        .map_err(|reason| CreateError::WakeUps { topic, reason })?;
-    Ok(TopicServices { _data: Box::new(data), _wake: wake })
+        .map_err(|reason| PortError::CreateWakeUps { topic, reason })?;
+    Ok(Box::new((data, wake)))
 }
 
 /// Name of a lane's service: the topic's own name, or `NAME/0`, `NAME/1` ... for a topic with

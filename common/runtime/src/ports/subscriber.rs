@@ -9,7 +9,7 @@ use iceoryx2::port::update_connections::UpdateConnections;
 use iceoryx2::prelude::*;
 use iceoryx2::sample::Sample;
 
-use super::error::{OpenError, ReceiveError};
+use super::error::PortError;
 use super::services::{DataService, Service};
 use crate::health::SharedCounters;
 use crate::listening::Listening;
@@ -25,32 +25,25 @@ pub struct Subscriber<T: Topic> {
     service: DataService<T>,
     counters: SharedCounters,
     listening: Rc<Listening>,
-    refusals: Refusals,
+    /// How many messages of each publisher were refused.
+    refused: Vec<(Sender, u64)>,
+    refusals: Throttle,
 }
 
-/// How many messages of each publisher were refused.
-#[derive(Default)]
-struct Refusals {
-    throttle: Throttle,
-    counts: Vec<(UniquePublisherId, u64)>,
-}
+/// Publishers that are told apart; they are few, and old ones have ended.
+const MOST_PUBLISHERS: usize = 16;
 
-impl Refusals {
-    /// Publishers that are told apart; they are few, and old ones have ended.
-    const MOST_PUBLISHERS: usize = 16;
-
-    /// Counts one more of `publisher`.
-    fn add(&mut self, publisher: UniquePublisherId) -> u64 {
-        if let Some((_, count)) = self.counts.iter_mut().find(|(of, _)| *of == publisher) {
-            *count += 1;
-            return *count;
-        }
-        if self.counts.len() == Self::MOST_PUBLISHERS {
-            self.counts.remove(0);
-        }
-        self.counts.push((publisher, 1));
-        1
+/// Counts one more refused message of `publisher`.
+fn count_refused(counts: &mut Vec<(Sender, u64)>, publisher: Sender) -> u64 {
+    if let Some((_, count)) = counts.iter_mut().find(|(of, _)| *of == publisher) {
+        *count += 1;
+        return *count;
     }
+    if counts.len() == MOST_PUBLISHERS {
+        counts.remove(0);
+    }
+    counts.push((publisher, 1));
+    1
 }
 
 /// Refused messages of one publisher for each complaint to the launcher.
@@ -64,8 +57,7 @@ pub struct Message<T: Topic> {
 }
 
 /// The sender of a message.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Sender(UniquePublisherId);
+pub type Sender = UniquePublisherId;
 
 /// A message, and the result of the contract's check.
 pub type Judged<T> = (Message<T>, Result<(), ContractError>);
@@ -78,7 +70,13 @@ impl<T: Topic> Message<T> {
 
     /// The sender of the message.
     pub fn sender(&self) -> Sender {
-        Sender(self.sample.origin())
+        self.sample.origin()
+    }
+}
+
+impl<T: Topic> AsRef<[T::Item]> for Message<T> {
+    fn as_ref(&self) -> &[T::Item] {
+        self.items()
     }
 }
 
@@ -89,11 +87,18 @@ impl<T: Topic> Subscriber<T> {
         buffer: usize,
         counters: SharedCounters,
         listening: Rc<Listening>,
-    ) -> Result<Self, OpenError> {
+    ) -> Result<Self, PortError> {
         let subscriber = service.subscriber_builder().buffer_size(buffer).create();
         let subscriber =
-            subscriber.map_err(|reason| OpenError::Subscriber { topic: T::NAME, reason })?;
-        Ok(Self { subscriber, service, counters, listening, refusals: Refusals::default() })
+            subscriber.map_err(|reason| PortError::Subscriber { topic: T::NAME, reason })?;
+        Ok(Self {
+            subscriber,
+            service,
+            counters,
+            listening,
+            refused: Vec::new(),
+            refusals: Throttle::default(),
+        })
     }
 
     /// The subscriber, with its messages counted elsewhere.
@@ -109,8 +114,8 @@ impl<T: Topic> Subscriber<T> {
     /// The next message, if one is there.
     ///
     /// # Errors
-    /// [`ReceiveError`] where this process keeps too many messages, or a connection broke.
-    pub fn receive(&mut self) -> Result<Option<Message<T>>, ReceiveError> {
+    /// [`PortError`] where this process keeps too many messages, or a connection broke.
+    pub fn receive(&mut self) -> Result<Option<Message<T>>, PortError> {
         loop {
             let Some(sample) = self.next_sample()? else { return Ok(None) };
             let header = *sample.user_header();
@@ -125,8 +130,8 @@ impl<T: Topic> Subscriber<T> {
                 Err(error) => {
                     self.counters.add_failed(1);
                     let publisher = sample.origin();
-                    self.refuse(Sender(publisher), &error);
-                    if let Some(more) = self.refusals.throttle.admit() {
+                    self.refuse(publisher, &error);
+                    if let Some(more) = self.refusals.admit() {
                         tracing::warn!(
                             topic = T::NAME,
                             process = self.process_of(publisher),
@@ -139,9 +144,9 @@ impl<T: Topic> Subscriber<T> {
         }
     }
 
-    fn next_sample(&self) -> Result<Option<ShmSample<T>>, ReceiveError> {
+    fn next_sample(&self) -> Result<Option<ShmSample<T>>, PortError> {
         let sample = self.subscriber.receive();
-        sample.map_err(|reason| ReceiveError::Message { topic: T::NAME, reason })
+        sample.map_err(|reason| PortError::Receive { topic: T::NAME, reason })
     }
 
     /// The next message, if one is there, with the result of the contract's check: for tools that
@@ -149,7 +154,7 @@ impl<T: Topic> Subscriber<T> {
     ///
     /// # Errors
     /// As [`Subscriber::receive`].
-    pub fn receive_with_verdict(&mut self) -> Result<Option<Judged<T>>, ReceiveError> {
+    pub fn receive_with_verdict(&mut self) -> Result<Option<Judged<T>>, PortError> {
         Ok(self.next_sample()?.map(|sample| {
             let header = *sample.user_header();
             let verdict = T::check(&header, sample.payload());
@@ -160,15 +165,15 @@ impl<T: Topic> Subscriber<T> {
     /// Counts a refused message, also one that has passed the contract's check and yet cannot be
     /// true. The launcher gets a complaint now and then.
     pub fn refuse(&mut self, sender: Sender, reason: &dyn std::fmt::Display) {
-        let count = self.refusals.add(sender.0);
+        let count = count_refused(&mut self.refused, sender);
         if count.is_multiple_of(REFUSED_AT_ONCE) {
-            let pid = self.process_of(sender.0);
+            let pid = self.process_of(sender);
             self.listening.complain_of_messages(pid, count, &format!("{}: {reason}", T::NAME));
         }
     }
 
     /// The process that has this publisher; 0 if it has ended.
-    fn process_of(&self, publisher: UniquePublisherId) -> u32 {
+    fn process_of(&self, publisher: Sender) -> u32 {
         let mut pid = 0;
         self.service.dynamic_config().list_publishers(|details| {
             if details.publisher_id != publisher {
@@ -185,12 +190,12 @@ impl<T: Topic> Subscriber<T> {
     /// patience waits for this subscriber only once they are connected.
     ///
     /// # Errors
-    /// [`ReceiveError`] where a connection broke.
-    pub fn connect(&self) -> Result<bool, ReceiveError> {
+    /// [`PortError`] where a connection broke.
+    pub fn connect(&self) -> Result<bool, PortError> {
         let is_published = self.service.dynamic_config().number_of_publishers() > 0;
         self.subscriber
             .update_connections()
-            .map_err(|reason| ReceiveError::Connection { topic: T::NAME, reason })?;
+            .map_err(|reason| PortError::SubscriberConnection { topic: T::NAME, reason })?;
         Ok(is_published)
     }
 
@@ -198,7 +203,7 @@ impl<T: Topic> Subscriber<T> {
     ///
     /// # Errors
     /// As [`Subscriber::receive`].
-    pub fn newest(&mut self) -> Result<Option<Message<T>>, ReceiveError> {
+    pub fn newest(&mut self) -> Result<Option<Message<T>>, PortError> {
         let mut newest = None;
         while let Some(message) = self.receive()? {
             if newest.replace(message).is_some() {

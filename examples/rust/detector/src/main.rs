@@ -74,13 +74,10 @@ impl Stage for MyDetector {
 impl MyDetector {
     /// The markers in a view. `pixels` are its rows of `stride` bytes, in shared memory, not copied.
     fn search(&mut self, view: &ViewHeader, pixels: &[u8]) -> anyhow::Result<Found> {
-        let Some(record) = self.core.on_view(view, pixels) else {
+        let Some((header, markers)) = self.core.on_view(view, pixels) else {
             return Ok(Found { markers: Vec::new(), hits: 0 });
         };
-        if let Some(error) = record.failure {
-            return Err(error);
-        }
-        Ok(Found { markers: record.markers, hits: record.header.hits })
+        Ok(Found { markers: markers?, hits: header.hits })
     }
 }
 

@@ -2,8 +2,8 @@
 
 use flockeye_contract::{FrameStamp, ImuSample};
 
-use super::tape::{Epoch, TapeSample};
-use crate::Picture;
+use crate::SourcePicture;
+use crate::picture::{Epoch, TapeSample};
 
 /// The epochs of a recorded flight's sensor, counted anew.
 #[derive(Debug, Default)]
@@ -17,10 +17,10 @@ impl FlightClock {
     /// The samples of a picture on the clock of its frame, each row of them of one epoch.
     pub(crate) fn samples_of(
         &mut self,
-        picture: &Picture,
+        picture: &SourcePicture,
         stamp: &FrameStamp,
     ) -> Vec<(u32, Vec<ImuSample>)> {
-        let Some(recorded) = picture.recorded() else { return Vec::new() };
+        let Some(recorded) = &picture.recorded else { return Vec::new() };
         self.on_clock(&recorded.samples, recorded.header.stamp.exposure_ns, stamp.exposure_ns)
     }
 
@@ -44,7 +44,6 @@ impl FlightClock {
         rows
     }
 
-    /// Begins the recording again.
     pub(crate) fn begin_epoch(&mut self) {
         *self = Self { epoch: self.epoch + 1, recorded: None };
     }

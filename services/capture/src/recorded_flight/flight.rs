@@ -9,28 +9,31 @@ use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
-use flockeye_contract::FrameHeader;
+use flockeye_config::Flow;
+use flockeye_contract::{FrameHeader, VideoCodec};
 use flockeye_runtime::lock::lock;
 use gstreamer as gst;
 use gstreamer::prelude::*;
 use gstreamer_app as gst_app;
 
-use super::tape::{Coding, Tape, TapeItem, TapeSample};
+use super::tape::{FlightTape, TapeItem};
+use crate::arrivals::on_each_buffer;
 use crate::event::EndReason;
 use crate::input::{FEED, Input};
-use crate::parameters::{Paced, SourceParameters};
-use crate::picture::FlightFrame;
+use crate::parameters::SourceParameters;
+use crate::picture::{FlightFrame, TapeSample};
 use crate::playback::{Playback, PlaybackEvent};
-use crate::{CaptureError, Event};
+use crate::{CaptureError, Event, decoder};
 
 /// A recording that is being played.
-#[derive(Debug)]
 pub(crate) struct Flight {
     path: PathBuf,
     params: SourceParameters,
     playing: Option<EpochPlayback>,
-    /// What comes once all damage is reported, where no epoch is played.
-    then: Option<EpochEnd>,
+    /// The next epoch, which begins once all damage is reported.
+    next_epoch: Option<FlightTape>,
+    /// What is wrong with the end, where no epoch is played.
+    fault: Option<String>,
     /// Pictures that could not be used and are to be reported.
     damaged: VecDeque<(String, String)>,
     handed_out: u64,
@@ -44,34 +47,17 @@ pub(crate) struct Flight {
 /// Frames in a row without a sample of the inertial sensor that are reported.
 const MOST_BLIND: u32 = 30;
 
-/// What follows an epoch.
-enum EpochEnd {
-    Next(Box<Tape>),
-    /// The end, and what is wrong with it.
-    End(Option<String>),
-}
-
-impl std::fmt::Debug for EpochEnd {
+impl std::fmt::Debug for Flight {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        match self {
-            Self::Next(_) => f.write_str("Next"),
-            Self::End(fault) => f.debug_tuple("End").field(fault).finish(),
-        }
+        f.debug_struct("Flight").field("path", &self.path).finish_non_exhaustive()
     }
 }
 
-/// An epoch of the recording.
 struct EpochPlayback {
     // Before the thread that feeds it: it lets go of that.
     playback: Playback,
-    feeder: JoinHandle<Tape>,
+    feeder: JoinHandle<FlightTape>,
     table: Arc<Mutex<Table>>,
-}
-
-impl std::fmt::Debug for EpochPlayback {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("EpochPlayback").field("playback", &self.playback).finish_non_exhaustive()
-    }
 }
 
 /// What is known of the pictures that were fed and have not come out.
@@ -83,7 +69,6 @@ struct Table {
     damaged: VecDeque<(String, String)>,
 }
 
-/// A picture that was fed.
 #[derive(Debug)]
 struct PendingPicture {
     /// `None`: it was decoded in flight, and not published.
@@ -135,12 +120,13 @@ fn undecoded(header: &FrameHeader) -> (String, String) {
 impl Flight {
     /// Opens a recording and decodes its first picture.
     pub(crate) fn open(path: &Path, params: &SourceParameters) -> Result<Self, CaptureError> {
-        let tape = Tape::open(path, params.samples, params.latency)?;
+        let tape = FlightTape::open(path, params.samples, params.latency)?;
         let mut flight = Self {
             path: path.to_owned(),
             params: params.clone(),
             playing: None,
-            then: None,
+            next_epoch: None,
+            fault: None,
             damaged: VecDeque::new(),
             handed_out: 0,
             skipped: 0,
@@ -151,10 +137,9 @@ impl Flight {
         Ok(flight)
     }
 
-    /// Begins an epoch.
-    fn begin(&mut self, tape: Tape) -> Result<(), CaptureError> {
+    fn begin(&mut self, tape: FlightTape) -> Result<(), CaptureError> {
         let table = Arc::new(Mutex::new(Table::default()));
-        let input = Input::Flight(self.path.clone(), tape.coding());
+        let input = Input::Flight(self.path.clone(), tape.codec());
         let mut feeder = None;
         let playback = Playback::fed(input, &self.params, |pipeline, sink| {
             let missing = || CaptureError::GStreamer("appsrc is not as it should be".to_owned());
@@ -162,13 +147,10 @@ impl Flight {
             let feed: gst_app::AppSrc = feed.ok_or_else(missing)?;
             let pad = sink.static_pad("sink").ok_or_else(missing)?;
             let decoded = Arc::clone(&table);
-            pad.add_probe(gst::PadProbeType::BUFFER, move |_, info| {
-                if let Some(pts) = info.buffer().and_then(|buffer| buffer.pts())
-                    && let Some(fed) = lock(&decoded).pictures.get_mut(&pts)
-                {
+            on_each_buffer(&pad, move |pts| {
+                if let Some(fed) = lock(&decoded).pictures.get_mut(&pts) {
                     fed.was_decoded = true;
                 }
-                gst::PadProbeReturn::Ok
             });
             let shared_table = Arc::clone(&table);
             let thread = std::thread::Builder::new().name("flight".to_owned());
@@ -190,24 +172,20 @@ impl Flight {
             return Ok(Event::Skipped { what: format!("{}: {what}", self.path.display()), why });
         }
         let Some(EpochPlayback { playback, table, .. }) = &mut self.playing else {
-            return match self.then.take() {
-                Some(EpochEnd::Next(tape)) => {
-                    self.begin(*tape)?;
-                    Ok(Event::NewEpoch)
-                }
-                Some(EpochEnd::End(Some(reason))) => {
-                    Ok(Event::End(EndReason::Truncated { decoded: self.handed_out, reason }))
-                }
-                Some(EpochEnd::End(None)) | None => {
-                    let (frames, skipped) = (self.handed_out, self.skipped);
-                    Ok(Event::End(EndReason::Complete { frames, skipped }))
-                }
-            };
+            if let Some(tape) = self.next_epoch.take() {
+                self.begin(tape)?;
+                return Ok(Event::NewEpoch);
+            }
+            let (frames, skipped) = (self.handed_out, self.skipped);
+            return Ok(Event::End(match self.fault.take() {
+                Some(reason) => EndReason::Truncated { decoded: frames, reason },
+                None => EndReason::Complete { frames, skipped },
+            }));
         };
         match playback.next(timeout)? {
             PlaybackEvent::Picture(mut picture) => {
                 let mut table = lock(table);
-                let taken = picture.pts().and_then(|pts| table.take(pts));
+                let taken = picture.stamp.pts.and_then(|pts| table.take(pts));
                 self.damaged.append(&mut table.damaged);
                 let Some((
                     PendingPicture { header: Some(header), later_ns, reach_ns, .. },
@@ -223,8 +201,8 @@ impl Flight {
                 self.count = sequence + 1;
                 self.handed_out += 1;
                 let exposure_ns = match self.params.flow {
-                    Paced::RealTime => picture.exposure_monotonic_ns().saturating_add(later_ns),
-                    Paced::Lossless => header.stamp.stream_ns,
+                    Flow::Latest => picture.exposure_monotonic_ns().saturating_add(later_ns),
+                    Flow::Lossless => header.stamp.stream_ns,
                 };
                 self.blind = if samples.is_empty() { self.blind.saturating_add(1) } else { 0 };
                 if self.params.samples && self.blind == MOST_BLIND {
@@ -234,7 +212,8 @@ impl Flight {
                         self.path.display()
                     );
                 }
-                picture.set_recorded(FlightFrame { header, samples, sequence, exposure_ns });
+                let recorded = FlightFrame { header, samples, sequence, exposure_ns };
+                picture.recorded = Some(Box::new(recorded));
                 Ok(Event::Frame(picture))
             }
             PlaybackEvent::Idle | PlaybackEvent::Late(_) | PlaybackEvent::Behind { .. } => {
@@ -247,9 +226,8 @@ impl Flight {
         }
     }
 
-    /// The pictures of an epoch are over.
     fn end_epoch(&mut self, fault: Option<String>) {
-        self.then = Some(EpochEnd::End(fault.clone()));
+        self.fault.clone_from(&fault);
         let Some(EpochPlayback { playback, feeder, table }) = self.playing.take() else { return };
         // It lets go of the thread that feeds it.
         drop(playback);
@@ -260,14 +238,14 @@ impl Flight {
         let (None, Ok(mut tape)) = (fault, tape) else { return };
         loop {
             match tape.next() {
-                TapeItem::Coded(coded) => {
-                    tape.put_back(coded);
-                    self.then = Some(EpochEnd::Next(Box::new(tape)));
+                Some(TapeItem::Coded(coded)) => {
+                    tape.put_back = Some(coded);
+                    self.next_epoch = Some(tape);
                     return;
                 }
-                TapeItem::Damaged { what, why } => self.damaged.push_back((what, why)),
-                TapeItem::End => {
-                    self.then = Some(EpochEnd::End(tape.fault().map(str::to_owned)));
+                Some(TapeItem::Damaged { what, why }) => self.damaged.push_back((what, why)),
+                None => {
+                    self.fault = tape.fault;
                     return;
                 }
             }
@@ -276,15 +254,11 @@ impl Flight {
 
     /// Whether its pictures come out of a decoder of video.
     pub(crate) fn decodes_video(&self) -> bool {
-        self.playing.as_ref().is_some_and(|playing| playing.playback.decodes_video())
+        self.playing
+            .as_ref()
+            .is_some_and(|playing| decoder::takes_video(&playing.playback.pipeline))
     }
 
-    /// Pictures handed out so far.
-    pub(crate) fn handed_out(&self) -> u64 {
-        self.handed_out
-    }
-
-    /// What is played, by which decoder.
     pub(crate) fn describe(&self) -> String {
         match &self.playing {
             Some(playing) => playing.playback.describe(),
@@ -295,7 +269,7 @@ impl Flight {
 
 /// Feeds the pictures of one epoch. Returns the recording, which has the next epoch, or is at its
 /// end.
-fn feed_epoch(mut tape: Tape, feed: &gst_app::AppSrc, table: &Mutex<Table>) -> Tape {
+fn feed_epoch(mut tape: FlightTape, feed: &gst_app::AppSrc, table: &Mutex<Table>) -> FlightTape {
     let mut epoch = None;
     let mut first_ns = 0;
     // The exposure less the time stamp of the first frame that was published.
@@ -306,16 +280,18 @@ fn feed_epoch(mut tape: Tape, feed: &gst_app::AppSrc, table: &Mutex<Table>) -> T
         let mut known = lock(table);
         known.samples.extend(tape.take_samples());
         let coded = match next {
-            TapeItem::Coded(coded) if *epoch.get_or_insert(coded.epoch) == coded.epoch => coded,
-            TapeItem::Coded(coded) => {
-                tape.put_back(coded);
+            Some(TapeItem::Coded(coded)) if *epoch.get_or_insert(coded.epoch) == coded.epoch => {
+                coded
+            }
+            Some(TapeItem::Coded(coded)) => {
+                tape.put_back = Some(coded);
                 break;
             }
-            TapeItem::Damaged { what, why } => {
+            Some(TapeItem::Damaged { what, why }) => {
                 known.damaged.push_back((what, why));
                 continue;
             }
-            TapeItem::End => break,
+            None => break,
         };
         if newest_pts.is_none() {
             first_ns = coded.time_ns;
@@ -323,7 +299,7 @@ fn feed_epoch(mut tape: Tape, feed: &gst_app::AppSrc, table: &Mutex<Table>) -> T
         // Pictures that are shown before the first one cannot be decoded.
         let pts = coded.time_ns.checked_sub(first_ns).and_then(|pts| u64::try_from(pts).ok());
         let Some(pts) = pts.map(gst::ClockTime::from_nseconds) else { continue };
-        let is_jpeg = coded.coding == Coding::Jpeg;
+        let is_jpeg = coded.codec == VideoCodec::None;
         if is_jpeg && newest_pts.is_some_and(|newest| pts <= newest) {
             let sequence = coded.header.map_or(0, |header| header.stamp.sequence);
             let why = "its exposure is not later than that of the one before".to_owned();

@@ -14,4 +14,3 @@ mod tape;
 
 pub(crate) use self::clock::FlightClock;
 pub(crate) use self::flight::Flight;
-pub(crate) use self::tape::{Coding, TapeSample};

@@ -19,16 +19,13 @@ use flockeye_recording::channel::{FRAME_IMAGES, FRAME_VIDEO, VIEW_IMAGES};
 use flockeye_recording::images::{decode_compressed, decode_video};
 use flockeye_recording::message::decode;
 use flockeye_recording::{
-    ContractMessage, Ending, Reader, RecordedMessage, RecordingError, TopicLayout, definition,
-    layouts,
+    ContractMessage, Ending, RecordedMessage, RecordingError, RecordingReader, TopicLayout,
+    definition, layouts,
 };
-
-mod item;
-
-pub(crate) use self::item::{CodedPicture, Coding, Epoch, TapeItem, TapeSample};
 
 use super::jpeg;
 use crate::CaptureError;
+use crate::picture::{Epoch, TapeSample};
 
 /// Limit for how far behind a picture its stamp and samples stand, by the time at which they were
 /// recorded.
@@ -41,12 +38,12 @@ const MOST_HEADERS: usize = 1024;
 const BEYOND_NS: i64 = 10_000_000;
 
 /// A recording that is being read.
-pub(crate) struct Tape {
+pub(crate) struct FlightTape {
     path: PathBuf,
-    reader: Reader,
-    frames: Arc<ContractChannel>,
-    packets: Arc<ContractChannel>,
-    imus: Arc<ContractChannel>,
+    reader: RecordingReader,
+    frames: DefinedTopic,
+    packets: DefinedTopic,
+    imus: DefinedTopic,
     wants_samples: bool,
     latency_ns: i64,
     /// The frame whose picture comes next, and the packet whose bytes do.
@@ -57,41 +54,53 @@ pub(crate) struct Tape {
     newest_frame: Option<(Epoch, i64)>,
     /// The packet that continues those before; `None`: a key frame is waited for.
     next_packet: Option<(Epoch, u64)>,
-    waiting: VecDeque<WaitingItem>,
+    /// What waits for what belongs to it, and when it was recorded: UTC, nanoseconds.
+    waiting: VecDeque<(u64, TapeItem)>,
     waiting_bytes: usize,
     samples: Vec<TapeSample>,
     newest_sample: Option<TapeSample>,
     newest_utc_ns: u64,
     /// The clock of exposures less that of the stream, of the first frame.
     zero_ns: Option<i64>,
-    put_back: Option<CodedPicture>,
-    coding: Option<Coding>,
+    /// A picture that comes next again.
+    pub(crate) put_back: Option<CodedPicture>,
+    /// How the pictures are coded; [`VideoCodec::None`]: each as a JPEG.
+    codec: Option<VideoCodec>,
     has_views: bool,
     has_frames: bool,
     has_ended: bool,
-    /// Why it ended before its end.
-    fault: Option<String>,
+    /// Why it ended before its end, once it has.
+    pub(crate) fault: Option<String>,
 }
 
-/// Messages of the contract, and their definition.
-struct ContractChannel {
-    layout: TopicLayout,
-    definition: String,
+#[derive(Debug, PartialEq)]
+pub(crate) struct CodedPicture {
+    pub(crate) epoch: Epoch,
+    /// `None`: a JPEG.
+    pub(crate) codec: VideoCodec,
+    /// Its place among the pictures of its epoch, nanoseconds: its exposure, or that of a packet in
+    /// its stream.
+    pub(crate) time_ns: i64,
+    /// The frame's header. `None`: it was decoded and not published.
+    pub(crate) header: Option<FrameHeader>,
+    pub(crate) bytes: Vec<u8>,
 }
 
-/// Something that waits for what belongs to it.
-struct WaitingItem {
-    utc_ns: u64,
-    what: PendingItem,
+/// What comes next of a recording.
+#[derive(Debug, PartialEq)]
+pub(crate) enum TapeItem {
+    Coded(CodedPicture),
+    /// Something that cannot be used; the rest goes on.
+    Damaged {
+        what: String,
+        why: String,
+    },
 }
 
-enum PendingItem {
-    Damaged { what: String, why: String },
-    Jpeg { header: FrameHeader, bytes: Vec<u8> },
-    Packet { header: PacketHeader, coding: Coding, bytes: Vec<u8> },
-}
+/// A topic of the contract, and the definition of its messages.
+type DefinedTopic = Arc<(TopicLayout, String)>;
 
-impl Tape {
+impl FlightTape {
     /// Opens a recording. `samples`: those of the inertial sensor are wanted, which reach as far
     /// beyond an exposure as `latency`.
     pub(crate) fn open(
@@ -99,7 +108,7 @@ impl Tape {
         samples: bool,
         latency: Duration,
     ) -> Result<Self, CaptureError> {
-        let reader = Reader::open(path).map_err(|error| match error {
+        let reader = RecordingReader::open(path).map_err(|error| match error {
             RecordingError::File { path, error }
                 if error.kind() == std::io::ErrorKind::NotFound =>
             {
@@ -114,7 +123,7 @@ impl Tape {
             let layout =
                 layout.ok_or_else(|| CaptureError::Recording(format!("{service} is no topic")))?;
             let definition = definition::of_topic(&layout);
-            Ok::<_, CaptureError>(Arc::new(ContractChannel { layout, definition }))
+            Ok::<_, CaptureError>(Arc::new((layout, definition)))
         };
         let mut tape = Self {
             path: path.to_owned(),
@@ -136,7 +145,7 @@ impl Tape {
             newest_utc_ns: 0,
             zero_ns: None,
             put_back: None,
-            coding: None,
+            codec: None,
             has_views: false,
             has_frames: false,
             has_ended: false,
@@ -146,16 +155,16 @@ impl Tape {
         let mut damaged = VecDeque::new();
         loop {
             match tape.next() {
-                TapeItem::Coded(coded) => {
-                    tape.put_back(coded);
+                Some(TapeItem::Coded(coded)) => {
+                    tape.put_back = Some(coded);
                     break;
                 }
-                TapeItem::Damaged { what, why } => damaged.push_back((what, why)),
-                TapeItem::End => return Err(tape.without_pictures(damaged.pop_front())),
+                Some(TapeItem::Damaged { what, why }) => damaged.push_back((what, why)),
+                None => return Err(tape.without_pictures(damaged.pop_front())),
             }
         }
         for (what, why) in damaged.into_iter().rev() {
-            tape.wait_for(PendingItem::Damaged { what, why }, true);
+            tape.waiting.push_front((tape.newest_utc_ns, TapeItem::Damaged { what, why }));
         }
         Ok(tape)
     }
@@ -174,19 +183,9 @@ impl Tape {
         CaptureError::NoPictures { path: self.path.clone(), reason }
     }
 
-    /// How the pictures are coded.
-    pub(crate) fn coding(&self) -> Coding {
-        self.coding.unwrap_or(Coding::Jpeg)
-    }
-
-    /// Why it ended before its end, once it has.
-    pub(crate) fn fault(&self) -> Option<&str> {
-        self.fault.as_deref()
-    }
-
-    /// Gives back a picture: it comes next again.
-    pub(crate) fn put_back(&mut self, coded: CodedPicture) {
-        self.put_back = Some(coded);
+    /// How the pictures are coded; [`VideoCodec::None`]: each as a JPEG.
+    pub(crate) fn codec(&self) -> VideoCodec {
+        self.codec.unwrap_or(VideoCodec::None)
     }
 
     /// The samples that were read since the last time. Those of a picture are there when it is.
@@ -201,25 +200,26 @@ impl Tape {
         self.latency_ns.saturating_add(if half_ns > 0 { half_ns } else { BEYOND_NS })
     }
 
-    /// The next picture, in the order in which pictures are decoded.
-    pub(crate) fn next(&mut self) -> TapeItem {
+    /// The next picture, in the order in which pictures are decoded; `None` at the end.
+    pub(crate) fn next(&mut self) -> Option<TapeItem> {
         if let Some(coded) = self.put_back.take() {
-            return TapeItem::Coded(coded);
+            return Some(TapeItem::Coded(coded));
         }
         loop {
             if self.has_ended || self.waiting.front().is_some_and(|front| self.is_complete(front)) {
-                return self
-                    .waiting
-                    .pop_front()
-                    .map_or(TapeItem::End, |front| self.come(front.what));
+                let (_, item) = self.waiting.pop_front()?;
+                return Some(match item {
+                    TapeItem::Coded(coded) => TapeItem::Coded(self.complete(coded)),
+                    damaged => damaged,
+                });
             }
             self.read();
         }
     }
 
     /// Whether all is there that belongs to it.
-    fn is_complete(&self, waiting: &WaitingItem) -> bool {
-        let is_old = self.newest_utc_ns >= waiting.utc_ns.saturating_add(BEHIND_NS);
+    fn is_complete(&self, (utc_ns, item): &(u64, TapeItem)) -> bool {
+        let is_old = self.newest_utc_ns >= utc_ns.saturating_add(BEHIND_NS);
         let has_samples = |header: &FrameHeader| {
             let until_ns = header.stamp.exposure_ns.saturating_add(self.reach_ns(header));
             let newest_ns = self.newest_sample.map(|newest| newest.sample.at_ns);
@@ -228,53 +228,37 @@ impl Tape {
         if self.waiting_bytes > MOST_WAITING_BYTES {
             return true;
         }
-        match &waiting.what {
-            PendingItem::Damaged { .. } => true,
-            PendingItem::Jpeg { header, .. } => has_samples(header),
-            PendingItem::Packet { header, .. } => {
-                let place = place_of(header);
-                match self.headers.get(&place) {
-                    Some(header) => has_samples(header),
-                    // Frames are published in the order in which they are shown.
-                    None => self.newest_frame.is_some_and(|newest| newest > place),
-                }
-            }
+        let TapeItem::Coded(coded) = item else { return true };
+        let place = (coded.epoch, coded.time_ns);
+        match coded.header.as_ref().or_else(|| self.headers.get(&place)) {
+            Some(header) => has_samples(header),
+            // Frames are published in the order in which they are shown.
+            None => self.newest_frame.is_some_and(|newest| newest > place),
         }
     }
 
-    /// Something has waited for long enough.
-    fn come(&mut self, what: PendingItem) -> TapeItem {
-        let (epoch, coding, time_ns, header, bytes) = match what {
-            PendingItem::Damaged { what, why } => return TapeItem::Damaged { what, why },
-            PendingItem::Jpeg { header, bytes } => {
-                let epoch = (header.stamp.source_generation, header.stamp.epoch);
-                (epoch, Coding::Jpeg, header.stamp.exposure_ns, Some(header), bytes)
-            }
-            PendingItem::Packet { header, coding, bytes } => {
-                let place @ (epoch, time_ns) = place_of(&header);
-                (epoch, coding, time_ns, self.headers.remove(&place), bytes)
-            }
-        };
-        self.waiting_bytes = self.waiting_bytes.saturating_sub(bytes.len());
+    /// A picture that has waited for long enough, with its header on the recording's clock.
+    fn complete(&mut self, coded: CodedPicture) -> CodedPicture {
+        let place = (coded.epoch, coded.time_ns);
+        self.waiting_bytes = self.waiting_bytes.saturating_sub(coded.bytes.len());
         // In a recorded lossless flight both clocks are one.
-        let header = header.map(|mut header| {
+        let header = coded.header.or_else(|| self.headers.remove(&place)).map(|mut header| {
             let stamp = &mut header.stamp;
             let apart_ns = stamp.exposure_ns.saturating_sub(stamp.stream_ns);
             let zero_ns = *self.zero_ns.get_or_insert(apart_ns);
             stamp.stream_ns = stamp.exposure_ns.saturating_sub(zero_ns);
             header
         });
-        TapeItem::Coded(CodedPicture { epoch, coding, time_ns, header, bytes })
+        CodedPicture { header, ..coded }
     }
 
-    /// Reads one message.
     fn read(&mut self) {
         match self.reader.next_message() {
             Ok(Some(message)) => {
                 self.newest_utc_ns = self.newest_utc_ns.max(message.utc_ns);
                 if let Err(why) = self.on(&message) {
                     let what = format!("{}, message {}", message.channel.topic, message.sequence);
-                    self.wait_for(PendingItem::Damaged { what, why }, false);
+                    self.waiting.push_back((self.newest_utc_ns, TapeItem::Damaged { what, why }));
                 }
             }
             Ok(None) if self.reader.ending() == Some(Ending::Whole) => self.end_part(),
@@ -302,15 +286,9 @@ impl Tape {
         }
     }
 
-    fn wait_for(&mut self, what: PendingItem, is_first: bool) {
-        if let PendingItem::Jpeg { bytes, .. } | PendingItem::Packet { bytes, .. } = &what {
-            self.waiting_bytes += bytes.len();
-        }
-        let waiting = WaitingItem { utc_ns: self.newest_utc_ns, what };
-        match is_first {
-            true => self.waiting.push_front(waiting),
-            false => self.waiting.push_back(waiting),
-        }
+    fn wait_for(&mut self, coded: CodedPicture) {
+        self.waiting_bytes += coded.bytes.len();
+        self.waiting.push_back((self.newest_utc_ns, TapeItem::Coded(coded)));
     }
 
     /// Takes a message. The error is the reason why it cannot be used.
@@ -356,10 +334,10 @@ impl Tape {
     /// The message of a topic; `None`, and the recording ends, if it is of another version.
     fn understand(
         &mut self,
-        known: &ContractChannel,
+        (layout, definition): &(TopicLayout, String),
         message: &RecordedMessage,
     ) -> Result<Option<ContractMessage>, String> {
-        if message.channel.definition != known.definition {
+        if message.channel.definition != *definition {
             let contract = self.reader.about().metadata.get("contract");
             let contract = contract.map_or("unknown", String::as_str);
             let path = self.path.display();
@@ -369,11 +347,11 @@ impl Tape {
             )));
             return Ok(None);
         }
-        decode(&known.layout, &message.bytes).map(Some).map_err(|error| error.to_string())
+        decode(layout, &message.bytes).map(Some).map_err(|error| error.to_string())
     }
 
     fn on_image(&mut self, message: &RecordedMessage) -> Result<(), String> {
-        if !matches!(self.coding, None | Some(Coding::Jpeg)) {
+        if !matches!(self.codec, None | Some(VideoCodec::None)) {
             return Ok(());
         }
         let header = self.header.take().ok_or("no header of a frame stands before it")?;
@@ -387,8 +365,14 @@ impl Tape {
             let FrameHeader { width, height, .. } = header;
             return Err(format!("it has {}x{} pixels, not {width}x{height}", size.0, size.1));
         }
-        self.coding = Some(Coding::Jpeg);
-        self.wait_for(PendingItem::Jpeg { header, bytes: image.bytes.to_vec() }, false);
+        self.codec = Some(VideoCodec::None);
+        self.wait_for(CodedPicture {
+            epoch: (header.stamp.source_generation, header.stamp.epoch),
+            codec: VideoCodec::None,
+            time_ns: header.stamp.exposure_ns,
+            header: Some(header),
+            bytes: image.bytes.to_vec(),
+        });
         Ok(())
     }
 
@@ -399,37 +383,39 @@ impl Tape {
             video.and_then(|video| match (header.check(video.bytes), video.format, header.codec) {
                 (Err(error), _, _) => Err(error.to_string()),
                 (Ok(()), "h264", codec) if codec == VideoCodec::H264.code() => {
-                    Ok((Coding::H264, video.bytes))
+                    Ok((VideoCodec::H264, video.bytes))
                 }
                 (Ok(()), "h265", codec) if codec == VideoCodec::H265.code() => {
-                    Ok((Coding::H265, video.bytes))
+                    Ok((VideoCodec::H265, video.bytes))
                 }
                 (Ok(()), format, _) => Err(format!("its format is {format}, its header's another")),
             });
         // What rests on a picture that is missing would be decoded to nonsense.
-        let place = (place_of(&header).0, header.sequence);
+        let epoch = (header.source_generation, header.epoch);
+        let place = (epoch, header.sequence);
         let continues = header.is_key == 1 || self.next_packet == Some(place);
-        let (coding, bytes) = match checked {
+        let (codec, bytes) = match checked {
             Ok(checked) => checked,
             Err(why) => {
                 self.next_packet = None;
                 return Err(why);
             }
         };
-        if self.coding.is_some_and(|known| known != coding) {
+        if self.codec.is_some_and(|known| known != codec) {
             return Ok(());
         }
         if !continues {
             self.next_packet = None;
-            return match self.coding {
+            return match self.codec {
                 // A recording that was begun in flight.
                 None => Ok(()),
                 Some(_) => Err("packets before it are missing, so it cannot be decoded".to_owned()),
             };
         }
-        self.coding = Some(coding);
-        self.next_packet = Some((place.0, header.sequence.wrapping_add(1)));
-        self.wait_for(PendingItem::Packet { header, coding, bytes: bytes.to_vec() }, false);
+        self.codec = Some(codec);
+        self.next_packet = Some((epoch, header.sequence.wrapping_add(1)));
+        let (time_ns, bytes) = (header.stream_ns, bytes.to_vec());
+        self.wait_for(CodedPicture { epoch, codec, time_ns, header: None, bytes });
         Ok(())
     }
 
@@ -453,11 +439,6 @@ impl Tape {
         }
         Ok(())
     }
-}
-
-/// Where the frame of a packet is among all frames.
-fn place_of(packet: &PacketHeader) -> (Epoch, i64) {
-    ((packet.source_generation, packet.epoch), packet.stream_ns)
 }
 
 #[cfg(test)]

@@ -6,7 +6,8 @@ use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::mpsc::{self, RecvTimeoutError};
 use std::time::Duration;
 
-use flockeye_capture::{EndReason, Event, Paced, Picture, Source, SourceParameters, SourceSpec};
+use flockeye_capture::{EndReason, Event, FrameSource, SourceParameters, SourcePicture};
+use flockeye_config::Flow;
 use gstreamer as gst;
 use gstreamer::prelude::*;
 
@@ -113,20 +114,20 @@ pub fn raw_luma(scratch: &Scratch, pipeline: &str, width: u32, format: &str) -> 
 }
 
 /// A picture's luma with its rows packed.
-pub fn packed(picture: &Picture) -> Vec<u8> {
+pub fn packed(picture: &SourcePicture) -> Vec<u8> {
     (0..picture.height()).flat_map(|y| picture.row(y).to_vec()).collect()
 }
 
-pub fn parameters(flow: Paced) -> SourceParameters {
+pub fn parameters(flow: Flow) -> SourceParameters {
     SourceParameters { flow, ..SourceParameters::new(WIDTH, HEIGHT) }
 }
 
-pub fn open(path: &Path, params: SourceParameters) -> Source {
-    Source::open(SourceSpec::parse(path.to_str().unwrap()).unwrap(), params).unwrap()
+pub fn open(path: &Path, params: SourceParameters) -> FrameSource {
+    FrameSource::open(path.to_str().unwrap().parse().unwrap(), params).unwrap()
 }
 
 /// Plays a recording to its end.
-pub fn play(source: &mut Source, mut each: impl FnMut(&Picture)) -> EndReason {
+pub fn play(source: &mut FrameSource, mut each: impl FnMut(&SourcePicture)) -> EndReason {
     loop {
         match source.next(Duration::from_secs(5)).unwrap() {
             Event::Frame(picture) => each(&picture),

@@ -1,5 +1,5 @@
-//! The time of finding a marker's corners, and their errors: ours and OpenCV's four refinements. Ends
-//! with a table of both.
+//! The time of finding a marker's corners, and their errors: ours and OpenCV's four refinements.
+//! Ends with a table of both.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used)]
 
 #[path = "../../../../common/imaging/tests/drawn/mod.rs"]

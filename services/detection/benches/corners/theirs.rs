@@ -20,8 +20,8 @@ pub struct Theirs {
 }
 
 impl Theirs {
-    /// All four. The corners of `APRILTAG` are offset by (+0.45, +0.45) px from the convention of the
-    /// others, which is subtracted here.
+    /// All four. The corners of `APRILTAG` are offset by (+0.45, +0.45) px from the convention of
+    /// the others, which is subtracted here.
     pub fn all() -> Vec<Self> {
         opencv::core::set_num_threads(1).unwrap();
         let methods = [

@@ -135,7 +135,7 @@ fn an_inertial_sensor_carries_the_rotation_through_a_covered_camera() {
         }
     }
     let notices = core.take_notices();
-    assert!(matches!(notices[..], [Notice::Agrees { .. }]), "{notices:?}");
+    assert!(matches!(notices[..], [SensorNotice::Agrees { .. }]), "{notices:?}");
     // The sensor starts anew, with a clock of its own.
     core.on_samples(&ImuHeader { epoch: 1, ..ImuHeader::default() }, &[]);
     let found = core.on_frame(&header(120, 0), &picture(yaw(4.0))).unwrap();

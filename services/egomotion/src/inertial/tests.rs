@@ -27,16 +27,16 @@ const PICTURE_DEVIATION: f64 = 5e-4;
 
 /// A flight of which sensor and picture are compared frame by frame.
 struct Flight {
-    sensor: Sensor,
+    sensor: SensorWatch,
     sample: u32,
-    notices: Vec<(u32, Notice)>,
+    notices: Vec<(u32, SensorNotice)>,
     /// Errors of the picture's and of the fused rotations, radians; and what the fused ones state.
     errors: Vec<[f64; 3]>,
 }
 
 impl Flight {
     fn new() -> Self {
-        let sensor = Sensor::new();
+        let sensor = SensorWatch::new();
         Self { sensor, sample: 0, notices: Vec::new(), errors: Vec::new() }
     }
 
@@ -72,11 +72,11 @@ impl Flight {
     }
 
     fn said(&self) -> Vec<&'static str> {
-        let word = |notice: &Notice| match notice {
-            Notice::Agrees { .. } => "agrees",
-            Notice::Disagrees { .. } => "disagrees",
-            Notice::Silent => "silent",
-            Notice::Heard => "heard",
+        let word = |notice: &SensorNotice| match notice {
+            SensorNotice::Agrees { .. } => "agrees",
+            SensorNotice::Disagrees { .. } => "disagrees",
+            SensorNotice::Silent => "silent",
+            SensorNotice::Heard => "heard",
         };
         self.notices.iter().map(|(_, notice)| word(notice)).collect()
     }
@@ -142,7 +142,7 @@ fn a_sensor_that_jumps_is_left_out_and_counts_again_once_it_is_right() {
     let jumped = |at_s: f64| Some(good(at_s)? + Vector3::new(0.0, 0.6, 0.0));
     flight.fly(100..200, jumped);
     assert_eq!(flight.said(), ["agrees", "disagrees"]);
-    let [_, (frame, Notice::Disagrees { off })] = flight.notices[..] else { unreachable!() };
+    let [_, (frame, SensorNotice::Disagrees { off })] = flight.notices[..] else { unreachable!() };
     assert!((103..110).contains(&frame), "{frame}");
     assert!((off + Vector3::new(0.0, 0.6, 0.0)).norm() < 0.1, "{off}");
     let before = flight.errors.len();
@@ -176,7 +176,7 @@ fn a_sensor_that_stops_is_said_once_and_used_again() {
 
 #[test]
 fn a_drone_at_rest_proves_nothing() {
-    let mut sensor = Sensor::new();
+    let mut sensor = SensorWatch::new();
     let covariance = Matrix3::from_diagonal_element(PICTURE_DEVIATION.powi(2));
     for k in 0..300u32 {
         sensor.push(RateSample { at_s: f64::from(k) / 200.0, rate: noise(k, 0.0017) });

@@ -3,15 +3,13 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "of the drawings")]
 
 use super::*;
-use crate::decide::{Choice, Verdict};
-use crate::drawn_body::{Drawing, draw, prints};
-use crate::fixtures::alignment;
-use flockeye_geometry::body::{Body, plate, squares};
+use crate::decide::{PoseIndex, Verdict};
+use crate::drawn_body::{Drawing, draw};
+use crate::fixtures::{PIXELS_PER_RADIAN, aligner, alignment, alpha, bravo};
+use flockeye_geometry::body::{Body, plate};
 use flockeye_imaging::align::least_lead;
 use flockeye_imaging::light::{CodeRange, LinearLight, TransferCurve};
 use nalgebra::{Translation3, UnitQuaternion, Vector3};
-
-const PIXELS_PER_RADIAN: f64 = 611.0;
 
 fn pose(range_m: f64, turn: f64) -> Isometry3<f64> {
     Isometry3::from_parts(
@@ -20,9 +18,17 @@ fn pose(range_m: f64, turn: f64) -> Isometry3<f64> {
     )
 }
 
+/// A pose in which the first marker of a body faces the camera, tilted by 0.7 radians.
+fn facing(body: &Body, range_m: f64) -> Isometry3<f64> {
+    let towards = Vector3::new(0.8, 0.5, 0.33).normalize();
+    let turn = UnitQuaternion::rotation_between(&body.markers[0].normal(), &-towards).unwrap();
+    let tilt = UnitQuaternion::from_euler_angles(0.0, 0.0, 0.7);
+    Isometry3::from_parts(Translation3::from(towards * range_m), tilt * turn)
+}
+
 /// Gives `by` an aligner for one body, and a picture of the body.
 fn with_picture<T>(truth: &Isometry3<f64>, by: impl FnOnce(&Aligner, &Picture<'_>) -> T) -> T {
-    with_picture_of(&squares("alpha", 0.0625, 0.05, 0), truth, by)
+    with_picture_of(&alpha(), truth, by)
 }
 
 /// The same for any body.
@@ -31,9 +37,7 @@ fn with_picture_of<T>(
     truth: &Isometry3<f64>,
     by: impl FnOnce(&Aligner, &Picture<'_>) -> T,
 ) -> T {
-    let prints = prints();
-    let bodies = Bodies::new("DICT_5X5_250".into(), vec![body.clone()]).unwrap();
-    let aligner = Aligner::new(&bodies, |id| prints.get(&id), PIXELS_PER_RADIAN).unwrap();
+    let aligner = aligner(&Bodies::new("DICT_5X5_250".into(), vec![body.clone()]).unwrap());
     let drawing: Drawing = draw(body, truth, PIXELS_PER_RADIAN, 0.9, 0.004);
     let light = LinearLight::new(TransferCurve::Srgb, CodeRange::Full).unwrap();
     let (image, view) = (drawing.image(), drawing.view);
@@ -48,7 +52,7 @@ fn initiate(
     starts: &[Start],
     budget: TimeBudget,
 ) -> Option<Alignment> {
-    let starts: Vec<(Source, Start)> = with_sources(starts);
+    let starts = with_sources(starts);
     let sought = Sought { target: 0, picture, starts: &starts, budget };
     let mut tried = Vec::new();
     let decision = aligner.initiate(&sought, |_| false, false, &mut tried);
@@ -63,15 +67,15 @@ fn confirm(
     budget: TimeBudget,
     is_marked: impl Fn(&Isometry3<f64>) -> bool,
 ) -> Option<Alignment> {
-    let starts: Vec<(Source, Start)> = with_sources(starts);
+    let starts = with_sources(starts);
     let sought = Sought { target: 0, picture, starts: &starts, budget };
     let mut tried = Vec::new();
     let decision = aligner.confirm(&sought, predicted, is_marked, &mut tried);
     decision.chosen_of(&tried).cloned()
 }
 
-fn with_sources(starts: &[Start]) -> Vec<(Source, Start)> {
-    starts.iter().map(|start| (Source::Prediction, start.clone())).collect()
+fn with_sources(starts: &[Start]) -> Vec<(StartSource, Start)> {
+    starts.iter().map(|start| (StartSource::Prediction, start.clone())).collect()
 }
 
 #[test]
@@ -113,20 +117,13 @@ fn wrong_attitudes_neither_initiate_nor_confirm_a_track() {
     }
 }
 
-/// Near by, perspective tells one marker alone from its mirror pose. Far away it does not, even though
-/// alignment starts from the right pose.
+/// Near by, perspective tells one marker alone from its mirror pose. Far away it does not, even
+/// though alignment starts from the right pose.
 #[test]
 fn a_single_facet_initiates_a_track_where_perspective_excludes_its_mirror_pose() {
     let body = plate("plate", 0.07, 0.05, 3);
-    let normal = body.markers[0].normal();
-    let facing = |range_m: f64| {
-        let towards = Vector3::new(0.8, 0.5, 0.33).normalize();
-        let turn = UnitQuaternion::rotation_between(&normal, &-towards).unwrap();
-        let tilt = UnitQuaternion::from_euler_angles(0.0, 0.0, 0.7);
-        Isometry3::from_parts(Translation3::from(towards * range_m), tilt * turn)
-    };
     for (range_m, is_found) in [(0.3, true), (0.4, true), (1.8, false)] {
-        let truth = facing(range_m);
+        let truth = facing(&body, range_m);
         with_picture_of(&body, &truth, |aligner, picture| {
             let turned_rad = |begun: Isometry3<f64>| {
                 let starts = [Start::Fine(begun)];
@@ -209,10 +206,7 @@ fn a_track_is_confirmed_farther_away_than_it_is_initiated() {
 #[test]
 fn a_decoded_marker_does_not_support_a_pose_that_the_track_excludes() {
     let body = plate("plate", 0.07, 0.05, 3);
-    let towards = Vector3::new(0.8, 0.5, 0.33).normalize();
-    let turn = UnitQuaternion::rotation_between(&body.markers[0].normal(), &-towards).unwrap();
-    let tilt = UnitQuaternion::from_euler_angles(0.0, 0.0, 0.7);
-    let truth = Isometry3::from_parts(Translation3::from(towards * 0.9), tilt * turn);
+    let truth = facing(&body, 0.9);
     with_picture_of(&body, &truth, |aligner, picture| {
         let mirrored = aligner.prints[0].mirrored(0, &truth).unwrap();
         let follow = |start: Isometry3<f64>| {
@@ -265,7 +259,7 @@ fn decided(
     let mut tried = Vec::new();
     let decision = by(&sought, &mut tried);
     let accepted = decision.reasons.iter().position(|reason| *reason == Verdict::Accepted);
-    assert_eq!(decision.chosen, accepted.map(Choice::Hypothesis));
+    assert_eq!(decision.chosen, accepted.map(PoseIndex::Hypothesis));
     assert_eq!(decision.reasons.len(), tried.len());
     (decision.reasons, tried)
 }
@@ -292,7 +286,7 @@ fn each_hypothesis_has_its_reason() {
         let starts = [Start::Fine(pose(0.8, 4.0)), Start::Fine(truth), Start::Rough(truth)];
         let (verdicts, list) = decided(picture, &starts, initiate);
         // Both lead to the body, and the last one is its mirror pose.
-        assert_eq!(list.last().unwrap().source, Source::Mirror);
+        assert_eq!(list.last().unwrap().source, StartSource::Mirror);
         assert_eq!(verdicts[0], Verdict::BelowThreshold);
         assert!(verdicts[1..3].contains(&Verdict::Accepted), "{verdicts:?}");
         assert!(verdicts[1..3].contains(&Verdict::LessLikely), "{verdicts:?}");
@@ -303,17 +297,14 @@ fn each_hypothesis_has_its_reason() {
 #[test]
 fn rivals_are_named_with_their_lead() {
     let body = plate("plate", 0.07, 0.05, 3);
-    let towards = Vector3::new(0.8, 0.5, 0.33).normalize();
-    let turn = UnitQuaternion::rotation_between(&body.markers[0].normal(), &-towards).unwrap();
-    let tilt = UnitQuaternion::from_euler_angles(0.0, 0.0, 0.7);
-    let truth = Isometry3::from_parts(Translation3::from(towards * 1.8), tilt * turn);
+    let truth = facing(&body, 1.8);
     with_picture_of(&body, &truth, |aligner, picture| {
         let (verdicts, list) = decided(picture, &[Start::Fine(truth)], |sought, tried| {
             aligner.initiate(sought, |_| false, false, tried)
         });
         let [Verdict::Rivals(lead), Verdict::Rival] = verdicts[..] else { panic!("{verdicts:?}") };
         assert!((0.0..least_lead()).contains(&lead.abs()), "{lead}");
-        assert_eq!(list[1].source, Source::Mirror);
+        assert_eq!(list[1].source, StartSource::Mirror);
     });
 }
 
@@ -330,19 +321,17 @@ fn a_body_is_found_at_a_rough_place_and_another_is_not() {
     assert!(found.rotation.angle_to(&truth.rotation) < 0.05);
     assert!((found.translation.vector - position).norm() < 0.02);
     let accepted = decision.hypothesis().map(|index| list[index].source);
-    assert_eq!(accepted, Some(Source::Place));
+    assert_eq!(accepted, Some(StartSource::Place));
 
-    let prints = prints();
-    let other = squares("bravo", 0.0625, 0.05, 17);
-    let bodies = Bodies::new("DICT_5X5_250".into(), vec![other]).unwrap();
-    let aligner = Aligner::new(&bodies, |id| prints.get(&id), PIXELS_PER_RADIAN).unwrap();
+    let aligner = aligner(&Bodies::new("DICT_5X5_250".into(), vec![bravo()]).unwrap());
     with_picture(&truth, |_, picture| {
         let decision = aligner.find_at(0, picture, &place, &mut Vec::new());
         assert_eq!(decision.chosen, None);
     });
 }
 
-/// What alignment has led to `along_x_m` from where the body is, with these log odds and this deviation.
+/// What alignment has led to `along_x_m` from where the body is, with these log odds and this
+/// deviation.
 fn led_to(truth: &Isometry3<f64>, along_x_m: f64, log_odds: f64, sigma_m: f64) -> Alignment {
     alignment(Translation3::new(along_x_m, 0.0, 0.0) * truth, log_odds, sigma_m)
 }
@@ -370,12 +359,13 @@ fn a_search_round_the_prediction_counts_if_it_finds_something_likelier() {
     let truth = pose(1.2, 0.4);
     with_picture(&truth, |aligner, picture| {
         let or_round = |found: Option<&Alignment>| {
-            let first = found.map(|found| Hypothesis::of(Source::Prediction, Ok(found.clone())));
+            let first =
+                found.map(|found| Hypothesis::of(StartSource::Prediction, Ok(found.clone())));
             let mut tried: Vec<Hypothesis> = first.into_iter().collect();
             let before = match found {
                 None => Decision::default(),
                 Some(_) => Decision {
-                    chosen: Some(Choice::Hypothesis(0)),
+                    chosen: Some(PoseIndex::Hypothesis(0)),
                     reasons: vec![Verdict::Accepted],
                     ..Decision::default()
                 },

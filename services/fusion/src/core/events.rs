@@ -2,7 +2,8 @@
 
 use flockeye_contract::{FrameEnd, FrameStamp, Rotation, ViewHeader};
 
-use crate::measure::background::{Answer, Job};
+use crate::account::Trial;
+use crate::measure::background::Job;
 use crate::notices::Notice;
 use crate::output::TrackMessage;
 use crate::planning::NextPlan;
@@ -20,8 +21,8 @@ pub enum Event<P> {
     FrameEnd(FrameEnd),
     /// How the camera has turned since the frame before.
     Rotation(Rotation),
-    /// A background pass is over.
-    Background(Answer),
+    /// The background pass that was under way is over.
+    Background(Box<Trial>),
 }
 
 /// What a step led to, to be sent in this order.
@@ -33,10 +34,11 @@ pub struct Outputs {
     pub plan: Option<(NextPlan, Option<FrameStamp>)>,
     /// A background pass to be run; its answer comes back as an [`Event`].
     pub job: Option<Job>,
-    /// The frame that has ended, if one has.
-    pub ended: Option<EndedFrame>,
+    /// When rectification took up the frame that has ended, nanoseconds of CLOCK_MONOTONIC; `None`
+    /// if that is not known or none has.
+    pub(crate) taken_ns: Option<i64>,
     /// What an operator should know.
-    pub notices: Vec<Notice>,
+    pub(crate) notices: Vec<Notice>,
     /// Whether nothing was left to do.
     pub is_idle: bool,
 }
@@ -51,11 +53,4 @@ impl Outputs {
     pub fn messages(&self) -> (usize, usize) {
         (self.tracks.len(), usize::from(self.plan.is_some()))
     }
-}
-
-/// A frame that has ended.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct EndedFrame {
-    /// When rectification took it up, nanoseconds of CLOCK_MONOTONIC; `None` if that is not known.
-    pub taken_ns: Option<i64>,
 }

@@ -3,29 +3,31 @@
 use flockeye_contract::FrameOrder;
 
 use super::{Core, Outputs, time_of};
-use crate::account::Pass;
+use crate::aligner::BestView;
 use crate::frame::OpenFrame;
-use crate::measure::{AnsweredView, Region};
+use crate::measure::AnsweredView;
 use crate::output::Cause;
-use crate::pictures::Pixels;
 use crate::record::Record;
 use crate::schedule::Schedule;
 use crate::target::Update;
 
-impl<P: Pixels> Core<P> {
+impl<P: AsRef<[u8]>> Core<P> {
     /// The direct pass over regions of one frame, as many at once as there are threads.
     pub(super) fn measure_regions(&mut self, order: FrameOrder, outputs: &mut Outputs) {
-        let taken = self.frames.take_regions(order, self.tracker.threads().max(1));
+        let taken = self.frames.take_regions(order, self.tracker.threads.max(1));
         let Some(frame) = self.frames.get_mut(order) else { return };
         let stamp = frame.stamp;
         let time = time_of(&self.planning, &stamp);
         let (reader, tracker) = (&mut self.reader, &mut self.tracker);
         let found = frame.with_parts(|frame, parts| {
-            let regions: Vec<Region<'_>> = reader.regions(&frame.held, &taken);
+            let regions: Vec<(usize, BestView<'_>)> = reader.regions(&frame.held, &taken);
             let updates = tracker.direct_pass(time, parts, &regions).into_iter();
             let caused = updates.filter_map(|update| {
-                let last = regions.iter().rfind(|region| region.target == update.0)?;
-                Some((update, Cause::of_view(frame.views.get(&last.view.view_index)?)))
+                let (_, last) = regions.iter().rfind(|(target, _)| *target == update.0)?;
+                Some((
+                    update,
+                    Cause::View { issued_ns: frame.views.get(&last.view_index)?.issued_ns },
+                ))
             });
             caused.collect::<Vec<_>>()
         });
@@ -33,17 +35,17 @@ impl<P: Pixels> Core<P> {
             found.into_iter().for_each(|found| self.publish(&stamp, vec![found], outputs));
         } else {
             // Their order must not depend on who is faster.
-            frame.keep_found(found);
+            frame.found.extend(found);
         }
         self.frames.answer_seen(order);
     }
 
-    /// A pass over records of a frame: over those of the views `searched`, or over all that count.
-    /// Publishes what it finds.
+    /// The region pass or the last one over records of a frame: over those of the views `searched`,
+    /// or over all that count. Publishes what it finds.
     pub(super) fn measure(
         &mut self,
         order: FrameOrder,
-        pass: Pass,
+        is_last: bool,
         searched: Option<Vec<u32>>,
         outputs: &mut Outputs,
     ) {
@@ -60,9 +62,9 @@ impl<P: Pixels> Core<P> {
             });
             let answered = views.iter().filter_map(|index| answered(frame, *index));
             let answered: Vec<AnsweredView<'_>> = answered.collect();
-            match pass {
-                Pass::Complete => tracker.final_pass(time, parts, &answered, &best_views, budget),
-                _ => tracker.region_pass(time, parts, &answered, &best_views, budget),
+            match is_last {
+                true => tracker.final_pass(time, parts, &answered, &best_views, budget),
+                false => tracker.region_pass(time, parts, &answered, &best_views, budget),
             }
         });
         let attempts = self.tracker.take_attempts();
@@ -83,8 +85,7 @@ impl<P: Pixels> Core<P> {
         let time = time_of(&self.planning, &frame.stamp);
         let (reader, tracker) = (&mut self.reader, &mut self.tracker);
         let update = frame.with_parts(|frame, parts| {
-            let views: Vec<_> = frame.places.next().collect();
-            tracker.place_pass(time, parts, target, &reader.places(&views))
+            tracker.place_pass(time, parts, target, &reader.places(frame.places.next()))
         });
         self.publish_updates(order, update.into_iter().collect(), None, outputs);
         true

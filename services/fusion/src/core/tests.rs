@@ -3,10 +3,11 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "of the drawings")]
 
 use super::*;
-use crate::decide::{Choice, Decision};
+use crate::decide::{Decision, PoseIndex};
 use crate::fixtures::*;
 use crate::frame::frames::Keeping;
-use crate::hypothesis::{Hypothesis, Source};
+use crate::hypothesis::{Hypothesis, StartSource};
+use crate::measure::background::BackgroundQueue;
 use crate::output::Cause;
 use crate::schedule::VirtualClock;
 use flockeye_config::Costs;
@@ -25,7 +26,7 @@ fn core_with(schedule: Schedule, keeps_places: bool) -> Core<Vec<u8>> {
     let is_limited = !matches!(schedule, Schedule::Unlimited);
     let mut tracker = tracker_of(vec![alpha()], 1);
     if is_limited {
-        tracker = tracker.with_background();
+        tracker.background = Some(BackgroundQueue::default());
     }
     let lights = RadianceCache::new(None).unwrap();
     let keeping = Keeping {
@@ -41,7 +42,7 @@ fn core_with(schedule: Schedule, keeps_places: bool) -> Core<Vec<u8>> {
         Frames::new(keeping, 1),
         PictureReader::new(lights, PIXELS_PER_RADIAN, None),
         tracker,
-        Planning::new(planner()),
+        planner(),
     )
 }
 
@@ -272,7 +273,7 @@ fn poses(said: &[Outputs]) -> Vec<usize> {
 }
 
 fn is_ended(said: &[Outputs]) -> bool {
-    said.iter().any(|outputs| outputs.ended.is_some())
+    said.iter().flat_map(|outputs| &outputs.tracks).any(|message| message.is_last)
 }
 
 #[test]
@@ -334,7 +335,7 @@ fn a_frame_whose_record_never_comes_ends_at_its_deadline() {
     let (mut core, plan_id) = tracking(Schedule::Flight);
     core.on(frame_end(3, plan_id, 1), 5);
     assert!(drain(&mut core, 5).is_empty());
-    assert_eq!(core.next_deadline_ns(), Some(5 + DEADLINE_NS));
+    assert_eq!(core.frames.next_deadline_ns(), Some(5 + DEADLINE_NS));
     let said = drain(&mut core, 5 + DEADLINE_NS);
     assert!(is_ended(&said));
     assert!(said[0].notices.contains(&Notice::Incomplete { sequence: 3 }));
@@ -373,9 +374,9 @@ fn a_marker_of_no_body_is_noticed_and_ignored() {
     assert!(poses(&said).is_empty());
 }
 
-/// A core that tracks alpha and has asked for a background pass in frame 4, which shows nothing. The
-/// answer says that alpha was found all the same.
-fn answered_in_background(schedule: Schedule) -> (Core<Vec<u8>>, Answer) {
+/// A core that tracks alpha and has asked for a background pass in frame 4, which shows nothing.
+/// The answer says that alpha was found all the same.
+fn answered_in_background(schedule: Schedule) -> (Core<Vec<u8>>, Box<Trial>) {
     let (mut core, plan_id) = tracking(schedule);
     core.keep_account(0);
     core.on(frame_end(3, plan_id, 0), 0);
@@ -399,10 +400,10 @@ fn answered_in_background(schedule: Schedule) -> (Core<Vec<u8>>, Answer) {
     }
     let bodies = flockeye_geometry::body::Bodies::new("DICT_5X5_250".into(), vec![alpha()]);
     let mut answer = job.unwrap().run(&aligner(&bodies.unwrap()));
-    assert!(answer.trial.measurement().is_none(), "the picture is grey");
-    answer.trial.hypotheses =
-        vec![Hypothesis::of(Source::Search, Ok(alignment(pose(0.9), 9.0, 1e-3)))];
-    answer.trial.decision = Decision { chosen: Some(Choice::Hypothesis(0)), ..Decision::default() };
+    assert!(answer.measurement().is_none(), "the picture is grey");
+    answer.hypotheses =
+        vec![Hypothesis::of(StartSource::Search, Ok(alignment(pose(0.9), 9.0, 1e-3)))];
+    answer.decision = Decision { chosen: Some(PoseIndex::Hypothesis(0)), ..Decision::default() };
     (core, answer)
 }
 

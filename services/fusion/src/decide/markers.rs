@@ -4,8 +4,8 @@ use flockeye_geometry::body::Body;
 use flockeye_geometry::pose::CornerRay;
 use nalgebra::{Isometry3, Unit};
 
-/// A corner contradicts a pose that has it elsewhere by more than this share of its marker's side. A
-/// mirror pose, or a body turned by one facet, has corners farther off; a right pose never has.
+/// A corner contradicts a pose that has it elsewhere by more than this share of its marker's side.
+/// A mirror pose, or a body turned by one facet, has corners farther off; a right pose never has.
 const CONTRADICTION_SIDES: f64 = 0.25;
 
 /// A corner supports a pose that has it within this share of its marker's side. A tilt or a range
@@ -13,7 +13,7 @@ const CONTRADICTION_SIDES: f64 = 0.25;
 const SUPPORT_SIDES: f64 = 0.04;
 
 /// Whether most corners lie elsewhere than `pose` has them.
-pub fn contradicts(body: &Body, rays: &[CornerRay], pose: &Isometry3<f64>) -> bool {
+pub(crate) fn contradicts(body: &Body, rays: &[CornerRay], pose: &Isometry3<f64>) -> bool {
     let is_elsewhere = |ray: &&CornerRay| {
         offset_in_sides(body, ray, pose).is_some_and(|offset| offset > CONTRADICTION_SIDES)
     };
@@ -21,15 +21,15 @@ pub fn contradicts(body: &Body, rays: &[CornerRay], pose: &Isometry3<f64>) -> bo
 }
 
 /// Whether there are corners, and all of them lie where `pose` has them.
-pub fn supports(body: &Body, rays: &[CornerRay], pose: &Isometry3<f64>) -> bool {
+pub(crate) fn supports(body: &Body, rays: &[CornerRay], pose: &Isometry3<f64>) -> bool {
     let is_near = |ray: &CornerRay| {
         offset_in_sides(body, ray, pose).is_some_and(|offset| offset < SUPPORT_SIDES)
     };
     !rays.is_empty() && rays.iter().all(is_near)
 }
 
-/// The angle between a corner's ray and where `pose` has that corner, in sides of its marker. `None`
-/// for a marker that `body` does not carry.
+/// The angle between a corner's ray and where `pose` has that corner, in sides of its marker.
+/// `None` for a marker that `body` does not carry.
 fn offset_in_sides(body: &Body, ray: &CornerRay, pose: &Isometry3<f64>) -> Option<f64> {
     let marker = body.marker(ray.marker_id)?;
     let corner = pose * marker.corners[ray.corner];

@@ -1,6 +1,6 @@
 //! What becomes of a measured pose: publication, a correction of the track, or nothing.
 
-use crate::measurement::Measurement;
+use crate::measurement::PoseMeasurement;
 
 /// What a pass led to.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -9,26 +9,27 @@ pub enum Outcome {
     Nothing,
     /// The pass gave no pose yet: the background pass was asked for.
     InBackground,
-    /// A pose that is not precise. It waits for the frame's end, in case that something better is found.
-    Imprecise(Measurement),
+    /// A pose that is not precise. It waits for the frame's end, in case that something better is
+    /// found.
+    Imprecise(PoseMeasurement),
     /// A measurement, which was published.
-    Published(Measurement),
+    Published(PoseMeasurement),
     /// A pose that is not precise: it corrected the track.
-    Corrected(Measurement),
+    Corrected(PoseMeasurement),
     /// A pose that is not where the track can be.
-    OutsideGate(Measurement),
+    OutsideGate(PoseMeasurement),
     /// A pose of a frame that is too long ago for the track, or whose numbers are unusable.
-    Refused(Measurement),
+    Refused(PoseMeasurement),
     /// A pose that came when its frame had ended: it corrected the track, or began one.
-    Late(Measurement),
+    Late(PoseMeasurement),
     /// The answer came when another pass had measured the target.
     Cancelled,
 }
 
 impl Outcome {
-    /// What became of a measurement of an open frame. `is_measured` is what the filter made of it: whether it counts as
-    /// the frame's measurement; `None` where the filter refused it.
-    pub fn of(measurement: Measurement, is_measured: Option<bool>) -> Self {
+    /// What became of a measurement of an open frame. `is_measured` is what the filter made of it:
+    /// whether it counts as the frame's measurement; `None` where the filter refused it.
+    pub(crate) fn of(measurement: PoseMeasurement, is_measured: Option<bool>) -> Self {
         match is_measured {
             None if !measurement.is_precise => Self::OutsideGate(measurement),
             None => Self::Refused(measurement),
@@ -39,7 +40,7 @@ impl Outcome {
     }
 
     /// What becomes of a pass over an open frame that gave no precise pose.
-    pub fn unpublished(imprecise: Option<Measurement>, is_in_background: bool) -> Self {
+    pub(crate) fn unpublished(imprecise: Option<PoseMeasurement>, is_in_background: bool) -> Self {
         match imprecise {
             _ if is_in_background => Self::InBackground,
             Some(imprecise) => Self::Imprecise(imprecise),
@@ -48,7 +49,7 @@ impl Outcome {
     }
 
     /// The pose that it is about.
-    pub fn measurement(&self) -> Option<&Measurement> {
+    pub fn measurement(&self) -> Option<&PoseMeasurement> {
         match self {
             Self::Nothing | Self::InBackground | Self::Cancelled => None,
             Self::Imprecise(measurement)
@@ -61,47 +62,11 @@ impl Outcome {
     }
 }
 
-/// Whether a measurement may go into its target's track. An imprecise one must lie where the track expects it.
-pub fn may_enter_track(measurement: &Measurement, is_inside_gate: impl FnOnce() -> bool) -> bool {
+/// Whether a measurement may go into its target's track. An imprecise one must lie where the track
+/// expects it.
+pub(crate) fn may_enter_track(
+    measurement: &PoseMeasurement,
+    is_inside_gate: impl FnOnce() -> bool,
+) -> bool {
     measurement.is_precise || is_inside_gate()
-}
-
-/// The answer of a background pass, beside its frame and its target's track.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct AnswerCase {
-    /// Whether the frame has ended meanwhile.
-    pub is_late: bool,
-    /// Whether the pose was found without the prior of a track.
-    pub is_independent: bool,
-    /// Whether the target has a track now.
-    pub is_tracked: bool,
-    /// Whether the frame is so recent that the filter can go back to it.
-    pub is_within_history: bool,
-}
-
-impl AnswerCase {
-    /// Whether the answer may begin a track. A pose that was found by the prior of a track that is lost since then means
-    /// nothing.
-    pub fn may_begin_track(&self) -> bool {
-        self.is_independent && !self.is_tracked && self.is_within_history
-    }
-
-    /// Whether a measurement waits for the end of its frame, in case that something better is found.
-    pub fn waits(&self, measurement: &Measurement) -> bool {
-        !self.is_late && !measurement.is_precise
-    }
-
-    /// Whether a measurement goes to the filter. When its frame has ended, it must agree with the track or begin one.
-    pub fn is_accepted(&self, is_inside_gate: impl FnOnce() -> bool) -> bool {
-        !self.is_late || self.may_begin_track() || is_inside_gate()
-    }
-
-    /// What became of a measurement that went to the filter, which took it or not. When its frame has ended, nothing of
-    /// it is published.
-    pub fn outcome(&self, of_open_frame: Outcome, is_taken: bool) -> Outcome {
-        match of_open_frame.measurement() {
-            Some(measurement) if self.is_late && is_taken => Outcome::Late(*measurement),
-            _ => of_open_frame,
-        }
-    }
 }

@@ -4,7 +4,7 @@
 
 use super::*;
 use crate::fixtures::{alignment, pose};
-use crate::hypothesis::Source;
+use crate::hypothesis::StartSource;
 use flockeye_imaging::align::{AlignError, Evidence};
 use nalgebra::Translation3;
 
@@ -12,7 +12,7 @@ use nalgebra::Translation3;
 fn tried(along_m: f64, log_odds: f64, is_precise: bool) -> Hypothesis {
     let at = Translation3::new(along_m, 0.0, 0.0) * pose(0.9);
     let found = alignment(at, log_odds, if is_precise { 1e-3 } else { 0.03 });
-    Hypothesis::of(Source::Prediction, Ok(found))
+    Hypothesis::of(StartSource::Prediction, Ok(found))
 }
 
 fn predicted(along_m: f64, log_odds: f64, is_precise: bool) -> Hypothesis {
@@ -20,7 +20,7 @@ fn predicted(along_m: f64, log_odds: f64, is_precise: bool) -> Hypothesis {
 }
 
 fn nothing() -> Hypothesis {
-    Hypothesis::of(Source::Prediction, Err(AlignError::Nothing))
+    Hypothesis::of(StartSource::Prediction, Err(AlignError::Nothing))
 }
 
 fn told_by_facets(hypothesis: Hypothesis) -> Hypothesis {
@@ -51,12 +51,12 @@ fn the_direct_pass_asks_for_a_pose_that_is_certain() {
 fn of_poses_that_a_track_supports_the_likeliest_counts() {
     let all = [nothing(), predicted(0.0, 5.0, true), predicted(0.1, 6.0, false)];
     let decision = of_tracked(&all);
-    assert_eq!(decision.chosen, Some(Choice::Hypothesis(2)));
+    assert_eq!(decision.chosen, Some(PoseIndex::Hypothesis(2)));
     let reasons = [Verdict::NotAligned, Verdict::LessLikely, Verdict::Accepted];
     assert_eq!(decision.reasons, reasons);
     // What is certain ends the search, even if something likelier was found before.
     let certain = [predicted(0.0, 9.0, false), predicted(0.0, 8.0, true)];
-    assert_eq!(of_tracked(&certain).chosen, Some(Choice::Hypothesis(1)));
+    assert_eq!(of_tracked(&certain).chosen, Some(PoseIndex::Hypothesis(1)));
     // Markers make up for a weak picture, unless the prediction speaks against the pose.
     let marked = |turn_log| Hypothesis {
         turn_log: Some(turn_log),
@@ -71,11 +71,11 @@ fn of_poses_that_a_track_supports_the_likeliest_counts() {
 fn the_same_pose_twice_is_chosen_once() {
     let twice = [predicted(0.0, 5.0, true), predicted(0.0, 5.0, true)];
     let decision = of_tracked(&twice);
-    assert_eq!(decision.chosen, Some(Choice::Hypothesis(0)));
+    assert_eq!(decision.chosen, Some(PoseIndex::Hypothesis(0)));
     assert_eq!(decision.reasons, [Verdict::Accepted, Verdict::LessLikely]);
     let twice = [tried(0.0, 9.0, true), tried(0.0, 9.0, true)];
     let decision = of_untracked(&twice, likeliest(&twice), false);
-    assert_eq!(decision.chosen, Some(Choice::Hypothesis(1)));
+    assert_eq!(decision.chosen, Some(PoseIndex::Hypothesis(1)));
     assert_eq!(decision.reasons, [Verdict::LessLikely, Verdict::Accepted]);
 }
 
@@ -83,7 +83,7 @@ fn the_same_pose_twice_is_chosen_once() {
 fn an_untracked_pose_must_lead_its_rivals() {
     let decide = |all: &[Hypothesis]| of_untracked(all, likeliest(all), false);
     let alone = decide(&[tried(0.0, 14.0, true), tried(0.5, 8.0, true)]);
-    assert_eq!((alone.chosen, alone.rivals), (Some(Choice::Hypothesis(0)), vec![1]));
+    assert_eq!((alone.chosen, alone.rivals), (Some(PoseIndex::Hypothesis(0)), vec![1]));
     let rivalled = decide(&[tried(0.5, 8.0, true), tried(0.0, 9.0, true)]);
     assert_eq!((rivalled.chosen, &rivalled.rivals[..]), (None, &[0][..]));
     let [Verdict::Rival, Verdict::Rivals(lead)] = rivalled.reasons[..] else {
@@ -115,8 +115,6 @@ fn a_precise_pose_comes_first_then_one_of_the_picture() {
             reduced_chi_square: 1.0,
             inlier_markers: vec![3],
             inlier_corners: 4,
-            corners: 4,
-            faces_camera: true,
         },
         is_chosen: true,
         verdict,
@@ -126,7 +124,7 @@ fn a_precise_pose_comes_first_then_one_of_the_picture() {
     let too_few = [corners(CornerVerdict::TooFewMarkers { wanted: 2 })];
     let precise = [predicted(0.0, 9.0, true)];
     let imprecise = [predicted(0.0, 9.0, false)];
-    let (by_picture, by_corners) = (Some(Choice::Hypothesis(0)), Some(Choice::Corners(0)));
+    let (by_picture, by_corners) = (Some(PoseIndex::Hypothesis(0)), Some(PoseIndex::Corners(0)));
     for (tried, corner_poses, chosen) in [
         (&precise[..], &enough, by_picture),
         (&imprecise[..], &enough, by_corners),

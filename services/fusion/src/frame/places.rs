@@ -16,37 +16,26 @@ const AT_ONCE: usize = 2;
 
 /// Views of the places of one frame.
 #[derive(Debug, Default)]
-pub struct Places {
+pub(crate) struct Places {
     /// The views with their pixels, row by row, by their place in the plan.
-    views: BTreeMap<u32, (ViewHeader, Vec<u8>)>,
+    pub(crate) views: BTreeMap<u32, (ViewHeader, Vec<u8>)>,
     /// The target that was looked for last at the first places; `None` before the first.
     last_target: Option<usize>,
 }
 
 impl Places {
-    /// Keeps a view.
-    pub fn add(&mut self, header: ViewHeader, pixels: &[u8]) {
+    pub(crate) fn add(&mut self, header: ViewHeader, pixels: &[u8]) {
         self.views.insert(header.view_index, (header, pixels.to_vec()));
     }
 
-    /// How many views are kept.
-    pub fn count(&self) -> usize {
-        self.views.len()
-    }
-
-    /// Drops the last view, and says whether there was one.
-    pub fn drop_last(&mut self) -> bool {
-        self.views.pop_last().is_some()
-    }
-
     /// The views that are searched next.
-    pub fn next(&self) -> impl Iterator<Item = (&ViewHeader, &Vec<u8>)> {
+    pub(crate) fn next(&self) -> impl Iterator<Item = (&ViewHeader, &Vec<u8>)> {
         self.views.values().take(AT_ONCE).map(|(header, pixels)| (header, pixels))
     }
 
     /// The target, of these, that is to be looked for next at the next places. When all of them
     /// have been, other places come next. `None` where none are left.
-    pub fn next_target(&mut self, untracked: impl Iterator<Item = usize>) -> Option<usize> {
+    pub(crate) fn next_target(&mut self, untracked: impl Iterator<Item = usize>) -> Option<usize> {
         let untracked: Vec<usize> = untracked.collect();
         let next = untracked.iter().copied().find(|target| Some(*target) > self.last_target);
         if next.is_none() {
@@ -60,7 +49,7 @@ impl Places {
 
 /// The place that a proposal's view shows, for a body with markers of `side_m`. Views are as wide
 /// as for the body with the largest radius in sides of its markers.
-pub fn place_of(view: &View, side_m: f64, radius_in_sides: f64) -> Place {
+pub(crate) fn place_of(view: &View, side_m: f64, radius_in_sides: f64) -> Place {
     let side_rad = view.field_rad() / 2.0 / PROPOSAL_FIELD_RADII / radius_in_sides;
     Place {
         direction_in_camera: view.direction_in_camera().into_inner(),

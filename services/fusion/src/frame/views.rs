@@ -15,43 +15,37 @@ use crate::record::Record;
 
 /// The views of one frame that are held, with `P` the hold on their pixels.
 #[derive(Debug)]
-pub struct HeldViews<P> {
+pub(crate) struct HeldViews<P> {
     /// Views without a record yet, by their place in the plan.
-    unanswered: BTreeMap<u32, HeldView<P>>,
+    pub(crate) unanswered: BTreeMap<u32, (ViewHeader, Rc<P>)>,
     /// The best view of each target.
-    best: BTreeMap<usize, (ViewQuality, HeldView<P>)>,
-}
-
-#[derive(Debug)]
-struct HeldView<P> {
-    header: ViewHeader,
-    pixels: Rc<P>,
+    pub(crate) best: BTreeMap<usize, (ViewQuality, ViewHeader, Rc<P>)>,
 }
 
 /// How much a view shows of a target. No two views of a frame are equal, so the best one does not
 /// depend on the order in which they come.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct ViewQuality {
+pub(crate) struct ViewQuality {
     /// Whether the view is this target's region of interest.
-    pub is_own: bool,
+    pub(crate) is_own: bool,
     /// Decoded markers of the target. Squares that only look like markers are found in many views,
     /// so they do not count.
-    pub decoded: u32,
+    pub(crate) decoded: u32,
     /// Squares that only look like its markers and agree with one pose of it, where nothing was
     /// decoded and there is no track.
-    pub agreeing: u32,
+    pub(crate) agreeing: u32,
     /// Its focal length, pixels.
-    pub focal_px: f64,
+    pub(crate) focal_px: f64,
     /// How far from its middle the target is, as a tangent.
-    pub off_centre: f64,
+    pub(crate) off_centre: f64,
     /// Its place in the plan.
-    pub view_index: u32,
+    pub(crate) view_index: u32,
 }
 
 impl ViewQuality {
     /// How well a view shows a body, by what was found in it. `None` where it is not the body's own
     /// region and shows no marker of it.
-    pub fn of(
+    pub(crate) fn of(
         record: &Record,
         view: &ViewHeader,
         body: &Body,
@@ -113,57 +107,20 @@ impl<P> Default for HeldViews<P> {
 
 impl<P> HeldViews<P> {
     /// Holds a view that was cut.
-    pub fn add(&mut self, header: ViewHeader, pixels: P) {
-        self.unanswered.insert(header.view_index, HeldView { header, pixels: Rc::new(pixels) });
-    }
-
-    /// How many views are held that have no record yet.
-    pub fn unanswered_count(&self) -> usize {
-        self.unanswered.len()
-    }
-
-    /// How many targets have a best view.
-    pub fn best_count(&self) -> usize {
-        self.best.len()
-    }
-
-    /// Releases the first view without a record, and says whether there was one.
-    pub fn release_unanswered(&mut self) -> bool {
-        self.unanswered.pop_first().is_some()
-    }
-
-    /// Releases the best view of the last target, and says whether there was one.
-    pub fn release_best(&mut self) -> bool {
-        self.best.pop_last().is_some()
-    }
-
-    /// A held view without a record yet, with its pixels.
-    pub fn unanswered(&self, view_index: u32) -> Option<(&ViewHeader, &P)> {
-        self.unanswered.get(&view_index).map(|view| (&view.header, &*view.pixels))
+    pub(crate) fn add(&mut self, header: ViewHeader, pixels: P) {
+        self.unanswered.insert(header.view_index, (header, Rc::new(pixels)));
     }
 
     /// Notes that a view's record has come. `shows` are the targets that it shows, and how well. It
     /// stays held for those that it shows best.
-    pub fn answered(&mut self, view_index: u32, shows: &[(usize, ViewQuality)]) {
-        let Some(HeldView { header, pixels }) = self.unanswered.remove(&view_index) else { return };
+    pub(crate) fn answered(&mut self, view_index: u32, shows: &[(usize, ViewQuality)]) {
+        let Some((header, pixels)) = self.unanswered.remove(&view_index) else { return };
         for &(target, quality) in shows {
             let known = self.best.get(&target);
-            if known.is_none_or(|(known, _)| quality.is_above(known)) {
-                let view = HeldView { header, pixels: pixels.clone() };
-                self.best.insert(target, (quality, view));
+            if known.is_none_or(|(known, ..)| quality.is_above(known)) {
+                self.best.insert(target, (quality, header, pixels.clone()));
             }
         }
-    }
-
-    /// The best views of the targets, and how good they are.
-    pub fn best(&self) -> impl Iterator<Item = (usize, &ViewQuality, &ViewHeader, &P)> {
-        let best = self.best.iter();
-        best.map(|(&target, (quality, view))| (target, quality, &view.header, &*view.pixels))
-    }
-
-    /// Releases a target's best view, because the target is measured.
-    pub fn release(&mut self, target: usize) {
-        self.best.remove(&target);
     }
 }
 
@@ -194,8 +151,8 @@ mod tests {
                 let index = (k + turn) % 4;
                 held.answered(index as u32, &[(7, qualities[index])]);
             }
-            let best: Vec<_> =
-                held.best().map(|(target, _, _, pixels)| (target, *pixels)).collect();
+            let best = held.best.iter().map(|(target, (_, _, pixels))| (*target, **pixels));
+            let best: Vec<_> = best.collect();
             assert_eq!(best, [(7, 2)]);
         }
     }

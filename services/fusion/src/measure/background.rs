@@ -19,43 +19,19 @@ use flockeye_imaging::image::LumaImage;
 use flockeye_imaging::light::LinearLight;
 use nalgebra::Isometry3;
 
-use super::comparison::Comparison;
-use super::inputs::Inputs;
+use super::FrameTime;
+use super::inputs::PassInputs;
 use crate::account::{Pass, Trial};
 use crate::aligner::{Aligner, BestView, Sought, Start};
-use crate::decide;
-use crate::hypothesis::Source;
+use crate::decide::markers::supports;
+use crate::hypothesis::StartSource;
 use crate::policy::TimeBudget;
-
-/// Which target a background pass looks for, in which frame.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Subject {
-    /// The frame.
-    pub order: FrameOrder,
-    /// When it was exposed, seconds.
-    pub at_s: f64,
-    /// The target's number.
-    pub target: usize,
-}
-
-/// What a background pass found.
-#[derive(Debug, Clone)]
-pub struct Answer {
-    /// What it looked for.
-    pub subject: Subject,
-    /// Whether the pose was found without the prior of a track, so that it may start one.
-    pub is_independent: bool,
-    /// The distance that the view's rays are right for, metres.
-    pub rays_m: f64,
-    /// How it was measured, with the target's pose, if it was found.
-    pub trial: Box<Trial>,
-}
 
 /// Which background passes are under way, wait, or were refused. It holds no thread: whoever runs
 /// [`BackgroundQueue::take_job`] gives the answer back to [`BackgroundQueue::finish`].
 #[derive(Debug, Default)]
-pub struct BackgroundQueue {
-    under_way: Option<UnderWay>,
+pub(crate) struct BackgroundQueue {
+    pub(crate) under_way: Option<UnderWay>,
     /// The job that is under way, until it is taken.
     to_run: Option<Job>,
     /// The job that comes next.
@@ -66,28 +42,32 @@ pub struct BackgroundQueue {
     refused: BTreeSet<usize>,
 }
 
+/// The one background pass that is under way.
 #[derive(Debug)]
-struct UnderWay {
-    subject: Subject,
+pub(crate) struct UnderWay {
+    pub(crate) time: FrameTime,
+    pub(crate) target: usize,
+    /// The distance that the view's rays are right for, metres.
+    pub(crate) rays_m: f64,
     is_untracked: bool,
     /// Whether the target was measured in that frame meanwhile.
-    is_cancelled: bool,
+    pub(crate) is_cancelled: bool,
 }
 
 impl BackgroundQueue {
     /// Asks for a pass, and says whether it is granted. It is not while another is under way, but
     /// an untracked target may queue behind a tracked one. A target that had the last pass goes
     /// behind those that were refused meanwhile.
-    pub fn request(&mut self, subject: Subject, inputs: &Inputs<'_>) -> bool {
-        let target = subject.target;
+    pub(crate) fn request(&mut self, time: FrameTime, inputs: &PassInputs<'_>) -> bool {
+        let target = inputs.target;
         if let Some(under_way) = &self.under_way {
-            if under_way.subject.target != target {
+            if under_way.target != target {
                 let is_untracked = inputs.prior.predicted().is_none();
-                let is_own = |job: &Job| job.subject.target == target;
+                let is_own = |job: &Job| job.target == target;
                 if is_untracked
                     && !under_way.is_untracked
                     && self.waiting.as_ref().is_none_or(is_own)
-                    && let Some(job) = Job::new(subject, inputs)
+                    && let Some(job) = Job::new(time, inputs)
                 {
                     self.waiting = Some(job);
                     return true;
@@ -102,71 +82,71 @@ impl BackgroundQueue {
             self.refused.clear();
             return false;
         }
-        let job = Job::new(subject, inputs);
+        let job = Job::new(time, inputs);
         let is_granted = job.is_some();
         job.into_iter().for_each(|job| self.start(job));
         is_granted
     }
 
     fn start(&mut self, job: Job) {
-        let (subject, is_untracked) = (job.subject, job.is_untracked);
-        self.refused.remove(&subject.target);
-        self.last = Some(subject.target);
-        self.under_way = Some(UnderWay { subject, is_untracked, is_cancelled: false });
+        let Job { time, target, is_untracked, view: CopiedView { rays_m, .. }, .. } = job;
+        self.refused.remove(&target);
+        self.last = Some(target);
+        self.under_way = Some(UnderWay { time, target, rays_m, is_untracked, is_cancelled: false });
         self.to_run = Some(job);
     }
 
     /// The job that is to be run now, once.
-    pub fn take_job(&mut self) -> Option<Job> {
+    pub(crate) fn take_job(&mut self) -> Option<Job> {
         self.to_run.take()
     }
 
     /// Cancels what is under way for a target in a frame, because the target was measured there. A
     /// job of that target that waits is dropped too: a newer frame has measured it.
-    pub fn cancel(&mut self, order: FrameOrder, target: usize) {
-        self.waiting.take_if(|job| job.subject.target == target);
+    pub(crate) fn cancel(&mut self, order: FrameOrder, target: usize) {
+        self.waiting.take_if(|job| job.target == target);
         if let Some(under_way) = &mut self.under_way
-            && (under_way.subject.order, under_way.subject.target) == (order, target)
+            && (under_way.time.order, under_way.target) == (order, target)
         {
             under_way.is_cancelled = true;
         }
     }
 
     /// The frame of the pass that is under way and not cancelled.
-    pub fn awaited(&self) -> Option<FrameOrder> {
+    pub(crate) fn awaited(&self) -> Option<FrameOrder> {
         let under_way = self.under_way.as_ref().filter(|under_way| !under_way.is_cancelled)?;
-        Some(under_way.subject.order)
+        Some(under_way.time.order)
     }
 
     /// Whether a pass over a frame is under way or waits, cancelled or not.
-    pub fn is_about(&self, order: FrameOrder) -> bool {
-        let under_way = self.under_way.iter().map(|under_way| under_way.subject);
-        let mut subjects = under_way.chain(self.waiting.iter().map(|job| job.subject));
-        subjects.any(|subject| subject.order == order)
+    pub(crate) fn is_about(&self, order: FrameOrder) -> bool {
+        let under_way = self.under_way.iter().map(|under_way| under_way.time);
+        let mut times = under_way.chain(self.waiting.iter().map(|job| job.time));
+        times.any(|time| time.order == order)
     }
 
-    /// Ends the job that was under way, and starts the one that waits. Returns whether the answer is
-    /// wanted: not where the pass was cancelled meanwhile.
-    pub fn finish(&mut self) -> bool {
-        let is_cancelled = self.under_way.take().is_none_or(|under_way| under_way.is_cancelled);
+    /// Ends the job that was under way, and starts the one that waits.
+    pub(crate) fn finish(&mut self) -> Option<UnderWay> {
+        let finished = self.under_way.take();
         if let Some(next) = self.waiting.take() {
             self.start(next);
         }
-        !is_cancelled
+        finished
     }
 }
 
 /// All that a background pass needs, copied, so that its view can be released.
 #[derive(Debug)]
 pub struct Job {
-    subject: Subject,
+    time: FrameTime,
+    target: usize,
     is_untracked: bool,
     body: Body,
     /// The trial, before it.
     trial: Box<Trial>,
     view: CopiedView,
     decoded: Vec<CornerRay>,
-    starts: Vec<(Source, Start)>,
+    starts: Vec<(StartSource, Start)>,
     /// The prediction of a confirmed track.
     confirmed: Option<Isometry3<f64>>,
     /// The prediction that is searched round if no start leads to the body.
@@ -208,44 +188,36 @@ impl CopiedView {
 
 impl Job {
     /// `None` where there is no view.
-    fn new(subject: Subject, inputs: &Inputs<'_>) -> Option<Self> {
+    fn new(time: FrameTime, inputs: &PassInputs<'_>) -> Option<Self> {
         let predicted = inputs.prior.predicted().copied();
         Some(Self {
-            subject,
+            time,
+            target: inputs.target,
             is_untracked: predicted.is_none(),
             body: inputs.body.clone(),
-            trial: Box::new(inputs.trial(Pass::Background)),
+            trial: Box::new(Trial { pass: Pass::Background, ..inputs.trial.clone() }),
             view: CopiedView::of(inputs.best_view.as_ref()?),
             decoded: inputs.decoded.clone(),
             starts: inputs.background_starts(),
             confirmed: inputs.prior.confirmed().map(|prior| prior.camera_from_markers),
-            search_round: predicted.filter(|_| inputs.permit.may_search),
+            search_round: predicted.filter(|_| inputs.may_search),
         })
     }
 
-    /// Runs the pass.
-    pub fn run(mut self, aligner: &Aligner) -> Answer {
+    /// Runs the pass, and says what it found.
+    pub(crate) fn run(mut self, aligner: &Aligner) -> Box<Trial> {
         let mut tried = Vec::new();
         let picture = self.view.picture();
-        let comparison = picture.as_ref().map(|picture| self.comparison(picture));
-        let decision = comparison.map(|comparison| comparison.run(aligner, &mut tried));
+        let decision = picture.as_ref().map(|picture| {
+            let (target, starts, budget) = (self.target, &self.starts, TimeBudget::OneFrame);
+            let sought = Sought { target, picture, starts, budget };
+            let is_marked = |pose: &Isometry3<f64>| supports(&self.body, &self.decoded, pose);
+            let (confirmed, round) = (self.confirmed.as_ref(), self.search_round.as_ref());
+            aligner.find(&sought, is_marked, confirmed, false, round, &mut tried)
+        });
         let decision = decision.unwrap_or_default();
-        let is_independent = decide::is_independent(&decision, &tried, self.confirmed.is_some());
         (self.trial.decision, self.trial.hypotheses) = (decision, tried);
-        let (subject, rays_m, trial) = (self.subject, self.view.rays_m, self.trial);
-        Answer { subject, is_independent, rays_m, trial }
-    }
-
-    fn comparison<'s>(&'s self, picture: &'s Picture<'s>) -> Comparison<'s> {
-        let (target, starts, budget) = (self.subject.target, &self.starts, TimeBudget::OneFrame);
-        Comparison {
-            sought: Sought { target, picture, starts, budget },
-            body: &self.body,
-            decoded: &self.decoded,
-            confirmed: self.confirmed.as_ref(),
-            needs_facets: false,
-            round: self.search_round.as_ref(),
-        }
+        self.trial
     }
 }
 

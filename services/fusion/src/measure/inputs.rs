@@ -1,96 +1,51 @@
 //! What a frame offers to measure one target by, collected once.
 
 use flockeye_geometry::body::Body;
-use flockeye_geometry::pose::{CornerRay, PoseOptions, PoseSolution, choose, solve};
-use flockeye_imaging::align::Place;
+use flockeye_geometry::pose::{CornerRay, PoseSolution, choose, solve};
 use nalgebra::Isometry3;
 
-use super::Row;
-use super::comparison::Comparison;
 use crate::account::{Pass, Trial};
 use crate::aligner::{Aligner, BestView, Sought, Start};
+use crate::decide::markers::supports;
 use crate::decide::{self, Decision};
 use crate::frame::parts::{Attempt, Part};
-use crate::hypothesis::{CornerPose, Hypothesis, Source};
-use crate::measurement::marker_ids;
+use crate::hypothesis::{CornerPose, Hypothesis, StartSource};
 use crate::policy::TimeBudget;
 use crate::track_prior::TrackPrior;
 
-/// Solutions from corners that alignment starts from, lowest cost first: the right one may cost more
-/// than its mirror pose.
+/// Solutions from corners that alignment starts from, lowest cost first: the right one may cost
+/// more than its mirror pose.
 const STARTS_FROM_CORNERS: usize = 3;
-
-/// What the policy allows a pass to do for a target.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Permit {
-    /// The pass.
-    pub row: &'static Row,
-    /// How much time there is.
-    pub budget: TimeBudget,
-    /// Whether rough starts and the search are left to the background pass.
-    pub is_deferred: bool,
-    /// Whether the target may be searched for round its prediction where nothing else finds it.
-    pub may_search: bool,
-}
 
 /// What a frame offers to measure one target by.
 #[derive(Debug, Clone)]
-pub struct Inputs<'f> {
-    /// The target's number.
-    pub target: usize,
-    /// Its body.
-    pub body: &'f Body,
+pub(crate) struct PassInputs<'f> {
+    pub(crate) target: usize,
+    pub(crate) body: &'f Body,
     /// Rays of its decoded markers' corners.
-    pub decoded: Vec<CornerRay>,
+    pub(crate) decoded: Vec<CornerRay>,
     /// Rays of squares that are probably its markers: alignment may start from them.
-    pub candidates: Vec<CornerRay>,
+    pub(crate) candidates: Vec<CornerRay>,
     /// The distance that the rays are right for, metres; infinite where it does not matter.
-    pub rays_m: f64,
-    /// What its track predicts.
-    pub prior: TrackPrior,
-    /// The best view of it.
-    pub best_view: Option<BestView<'f>>,
-    /// The place in that view at which it is looked for in any attitude.
-    pub place: Option<Place>,
-    /// What may be done.
-    pub permit: Permit,
+    pub(crate) rays_m: f64,
+    pub(crate) prior: TrackPrior,
+    pub(crate) best_view: Option<BestView<'f>>,
+    /// The trial that begins: which pass it is, and how thorough it may be.
+    pub(crate) trial: Trial,
+    /// Whether the target may be searched for round its prediction where nothing else finds it.
+    pub(crate) may_search: bool,
     /// The target's part in the frame: what earlier passes did. `None` where that does not count.
-    pub part: Option<&'f Part>,
+    pub(crate) part: Option<&'f Part>,
 }
 
-impl<'f> Inputs<'f> {
-    /// A view alone, without any marker.
-    pub fn of_view(
-        pass: Pass,
-        target: usize,
-        body: &'f Body,
-        prior: TrackPrior,
-        view: BestView<'f>,
-    ) -> Self {
-        let (row, budget) = (Row::of(pass), TimeBudget::OneFrame);
-        Self {
-            target,
-            body,
-            decoded: Vec::new(),
-            candidates: Vec::new(),
-            rays_m: view.rays_m,
-            prior,
-            best_view: Some(view),
-            place: None,
-            permit: Permit { row, budget, is_deferred: false, may_search: false },
-            part: None,
-        }
-    }
-}
-
-impl Inputs<'_> {
+impl PassInputs<'_> {
     /// What these inputs are, to compare them with later ones.
-    pub fn attempt(&self) -> Attempt {
+    pub(crate) fn attempt(&self) -> Attempt {
         Attempt {
             view_index: self.best_view.map(|view| view.view_index),
             decoded: self.decoded.len(),
             candidates: self.candidates.len(),
-            budget: self.permit.budget,
+            budget: self.trial.budget,
         }
     }
 
@@ -102,17 +57,15 @@ impl Inputs<'_> {
 
     /// Measures the target: by the picture from the starts of the pass, and by corners alone. The
     /// decision between them is in the trial.
-    pub fn measure(&self, aligner: &Aligner) -> Trial {
-        let row = self.permit.row;
-        let solutions =
-            solve(self.body, &self.decoded, &PoseOptions::default()).unwrap_or_default();
-        let chosen = choose(&solutions, self.prior.confirmed()).map(|choice| choice.solution);
+    pub(crate) fn measure(&self, aligner: &Aligner) -> Trial {
+        let solutions = solve(self.body, &self.decoded).unwrap_or_default();
+        let chosen = choose(&solutions, self.prior.confirmed());
         let is_confirmed = self.prior.confirmed().is_some();
         let corner_poses: Vec<CornerPose> = solutions
             .iter()
             .map(|solution| CornerPose {
                 is_chosen: chosen.is_some_and(|chosen| std::ptr::eq(chosen, solution)),
-                verdict: decide::of_corners(solution, is_confirmed, row.min_markers()),
+                verdict: decide::of_corners(solution, is_confirmed, self.trial.pass.min_markers()),
                 solution: solution.clone(),
             })
             .collect();
@@ -124,17 +77,17 @@ impl Inputs<'_> {
         });
         let decision =
             decide::with_corners(by_picture.unwrap_or_default(), &hypotheses, &corner_poses);
-        Trial { corner_poses, hypotheses, decision, ..self.trial(row.pass) }
+        Trial { corner_poses, hypotheses, decision, ..self.trial.clone() }
     }
 
     /// The prediction that is searched round, where that is not left to the background pass.
     fn search_round(&self) -> Option<&Isometry3<f64>> {
-        let may_search = self.permit.may_search && !self.permit.is_deferred;
+        let may_search = self.may_search && !self.trial.is_deferred;
         self.prior.predicted().filter(|_| may_search)
     }
 
-    /// The body compared with the picture, but not again from what failed before. `corners` are what
-    /// the decoded markers give, the best first.
+    /// The body compared with the picture, but not again from what failed before. `corners` are
+    /// what the decoded markers give, the best first.
     fn compare(
         &self,
         aligner: &Aligner,
@@ -142,144 +95,131 @@ impl Inputs<'_> {
         corners: &[&PoseSolution],
         tried: &mut Vec<Hypothesis>,
     ) -> Decision {
-        let picture = &view.picture;
-        if let Some(place) = &self.place {
-            return aligner.find_at(self.target, picture, place, tried);
-        }
-        let (attempt, Permit { row, budget, is_deferred, .. }) = (self.attempt(), self.permit);
+        let attempt = self.attempt();
+        let Trial { pass, budget, is_deferred, .. } = self.trial;
         let fine_is_new =
             self.is_new(|failed| Attempt { candidates: failed.candidates, ..attempt });
         let squares_are_new = self.is_new(|_| attempt);
-        let starts = self.starts(row, corners, |source| match source {
-            Source::DoubtfulSquares => squares_are_new && !is_deferred,
-            Source::RoughPrediction => fine_is_new && !is_deferred,
+        let starts = self.starts(pass, corners, |source| match source {
+            StartSource::DoubtfulSquares => squares_are_new && !is_deferred,
+            StartSource::RoughPrediction => fine_is_new && !is_deferred,
             _ => fine_is_new,
         });
-        let comparison = Comparison {
-            sought: Sought { target: self.target, picture, starts: &starts, budget },
-            body: self.body,
-            decoded: &self.decoded,
-            confirmed: self.prior.confirmed().map(|prior| &prior.camera_from_markers),
-            // A pose must win against all starts, the deferred ones too.
-            needs_facets: is_deferred && self.prior.predicted().is_none(),
-            round: self.search_round(),
-        };
-        let decision = comparison.run(aligner, tried);
-        // A direct pass takes only what is certain. The decision above also takes what is merely supported.
+        let sought =
+            Sought { target: self.target, picture: &view.picture, starts: &starts, budget };
+        let is_marked = |pose: &Isometry3<f64>| supports(self.body, &self.decoded, pose);
+        let confirmed = self.prior.confirmed().map(|prior| &prior.camera_from_markers);
+        // A pose must win against all starts, the deferred ones too.
+        let needs_facets = is_deferred && self.prior.predicted().is_none();
+        let round = self.search_round();
+        let decision = aligner.find(&sought, is_marked, confirmed, needs_facets, round, tried);
+        // A direct pass takes only what is certain: others wait for markers. The decision above
+        // also takes what is merely supported.
         match tried.first() {
-            Some(only) if row.is_certain => decide::of_direct_pass(only),
+            Some(only) if pass == Pass::Direct => decide::of_direct_pass(only),
             _ => decision,
         }
     }
 
-    /// What a pass of this `row` starts from, as far as it `is_worth` the time.
+    /// What a pass starts from, as far as it `is_worth` the time.
     fn starts(
         &self,
-        row: &Row,
+        pass: Pass,
         corners: &[&PoseSolution],
-        is_worth: impl Fn(Source) -> bool,
-    ) -> Vec<(Source, Start)> {
+        is_worth: impl Fn(StartSource) -> bool,
+    ) -> Vec<(StartSource, Start)> {
         let mut starts = Vec::new();
         let predicted = self.prior.predicted();
-        for source in row.starts.iter().copied().filter(|source| is_worth(*source)) {
+        for source in pass.starts().iter().copied().filter(|source| is_worth(*source)) {
             match source {
-                Source::Corners => {
+                StartSource::Corners => {
                     let best = corners.iter().take(STARTS_FROM_CORNERS);
-                    starts.extend(best.map(|solution| corner_start(solution)));
+                    starts.extend(best.map(|solution| {
+                        (StartSource::Corners, Start::Fine(solution.camera_from_markers))
+                    }));
                 }
-                Source::DoubtfulSquares => starts.extend(self.candidate_starts()),
-                Source::Prediction => starts.extend(predicted.map(|predicted| {
-                    let fine = (Source::Prediction, Start::Fine(*predicted));
+                StartSource::DoubtfulSquares => starts.extend(self.candidate_starts()),
+                StartSource::Prediction => starts.extend(predicted.map(|predicted| {
+                    let fine = (StartSource::Prediction, Start::Fine(*predicted));
                     self.rejected_start(predicted).unwrap_or(fine)
                 })),
-                Source::RoughPrediction => starts.extend(predicted.map(rough_start)),
+                StartSource::RoughPrediction => {
+                    let rough = |pose: &Isometry3<f64>| (source, Start::Rough(*pose));
+                    starts.extend(predicted.map(rough));
+                }
                 // These follow from other starts, or the aligner finds them itself.
-                Source::DirectPass | Source::Mirror | Source::Search | Source::Place => {}
+                StartSource::DirectPass
+                | StartSource::Mirror
+                | StartSource::Search
+                | StartSource::Place => {}
             }
         }
         starts
     }
 
-    fn candidate_starts(&self) -> impl Iterator<Item = (Source, Start)> {
-        let solutions = solve(self.body, &self.candidates, &PoseOptions::default());
+    fn candidate_starts(&self) -> impl Iterator<Item = (StartSource, Start)> {
+        let solutions = solve(self.body, &self.candidates);
         let solutions = solutions.unwrap_or_default().into_iter().take(STARTS_FROM_CORNERS);
         let start = |solution: PoseSolution| Start::Rough(solution.camera_from_markers);
-        solutions.map(move |solution| (Source::DoubtfulSquares, start(solution)))
+        solutions.map(move |solution| (StartSource::DoubtfulSquares, start(solution)))
     }
 
     /// What the direct pass found from the same start in the same view.
-    fn rejected_start(&self, predicted: &Isometry3<f64>) -> Option<(Source, Start)> {
+    fn rejected_start(&self, predicted: &Isometry3<f64>) -> Option<(StartSource, Start)> {
         let view_index = self.best_view?.view_index;
         let rejected = self.part?.rejected.as_ref()?;
-        let is_same = rejected.view_index == view_index && rejected.predicted == *predicted;
-        is_same.then(|| (Source::DirectPass, Start::Tried(rejected.found.clone())))
+        let found = rejected.hypotheses.first()?.found.clone().map(Box::new);
+        let is_same =
+            rejected.view_index == Some(view_index) && rejected.predicted == Some(*predicted);
+        is_same.then_some((StartSource::DirectPass, Start::Tried(found)))
     }
 
     /// Whether a background pass has something to start from that no other of this frame had.
-    pub fn wants_background(&self) -> bool {
+    pub(crate) fn wants_background(&self) -> bool {
         let has_time =
-            self.permit.budget == TimeBudget::OneFrame || self.prior.confirmed().is_none();
+            self.trial.budget == TimeBudget::OneFrame || self.prior.confirmed().is_none();
         let asked = self.part.and_then(|part| part.background);
-        self.permit.is_deferred
+        self.trial.is_deferred
             && has_time
             && asked.is_none_or(|asked| !self.attempt().is_pointless_after(&asked))
     }
 
     /// What a background pass starts from. Without a confirmed track the corners' solutions are
     /// among it again, because what one start leads to is compared with what the others do.
-    pub fn background_starts(&self) -> Vec<(Source, Start)> {
+    pub(crate) fn background_starts(&self) -> Vec<(StartSource, Start)> {
         let solutions = match self.prior.confirmed() {
             Some(_) => Vec::new(),
-            None => solve(self.body, &self.decoded, &PoseOptions::default()).unwrap_or_default(),
+            None => solve(self.body, &self.decoded).unwrap_or_default(),
         };
         let corners: Vec<&PoseSolution> = solutions.iter().collect();
-        self.starts(Row::of(Pass::Background), &corners, |_| true)
+        self.starts(Pass::Background, &corners, |_| true)
     }
-
-    /// A pass with these inputs that begins, for an account of it.
-    pub fn trial(&self, pass: Pass) -> Trial {
-        Trial {
-            view_index: self.best_view.map(|view| view.view_index),
-            is_deferred: self.permit.is_deferred,
-            decoded: marker_ids(&self.decoded),
-            doubtful: marker_ids(&self.candidates),
-            ..Trial::of(pass, &self.prior, self.permit.budget)
-        }
-    }
-}
-
-fn corner_start(solution: &PoseSolution) -> (Source, Start) {
-    (Source::Corners, Start::Fine(solution.camera_from_markers))
-}
-
-fn rough_start(predicted: &Isometry3<f64>) -> (Source, Start) {
-    (Source::RoughPrediction, Start::Rough(*predicted))
 }
 
 #[cfg(test)]
 mod tests {
     #![allow(clippy::expect_used)]
     use super::*;
-    use crate::fixtures::{aligner, error_m, facing_markers};
-    use crate::measurement::{Measurement, decoded_rays};
-    use flockeye_geometry::body::{Bodies, squares};
-    use flockeye_geometry::pose::PosePrior;
+    use crate::fixtures::{aligner, alpha, error_m, facing_markers};
+    use crate::measurement::{PoseMeasurement, decoded_rays, marker_ids};
+    use flockeye_geometry::body::Bodies;
+    use flockeye_geometry::pose::PoseEstimate;
     use nalgebra::{Matrix6, Translation3, UnitQuaternion};
 
     /// The measurement by corners alone.
-    fn measure(body: &Body, decoded: Vec<CornerRay>, prior: TrackPrior) -> Option<Measurement> {
+    fn measure(body: &Body, decoded: Vec<CornerRay>, prior: TrackPrior) -> Option<PoseMeasurement> {
         let bodies = Bodies::new("DICT_5X5_250".into(), vec![body.clone()]).expect("one body");
-        let (row, budget) = (Row::of(Pass::Complete), TimeBudget::Unlimited);
-        let inputs = Inputs {
+        let begun = Trial::of(Pass::Complete, &prior, TimeBudget::Unlimited);
+        let inputs = PassInputs {
             target: 0,
             body,
+            trial: Trial { decoded: marker_ids(&decoded), ..begun },
+            may_search: false,
             decoded,
             candidates: Vec::new(),
             rays_m: f64::INFINITY,
             prior,
             best_view: None,
-            place: None,
-            permit: Permit { row, budget, is_deferred: false, may_search: false },
             part: None,
         };
         inputs.measure(&aligner(&bodies)).measurement()
@@ -287,7 +227,7 @@ mod tests {
 
     #[test]
     fn without_a_track_two_markers_are_needed() {
-        let body = squares("alpha", 0.0625, 0.05, 0);
+        let body = alpha();
         let pose = Isometry3::from_parts(
             Translation3::new(-0.7, 0.5, 0.3),
             UnitQuaternion::from_euler_angles(0.2, 0.1, 0.7),
@@ -298,7 +238,7 @@ mod tests {
         assert!(found.markers >= 2);
         assert_eq!(measure(&body, rays(1), TrackPrior::Untracked), None);
         let covariance = Matrix6::identity() * 1e-4;
-        let prior = PosePrior { camera_from_markers: pose, covariance };
+        let prior = PoseEstimate { camera_from_markers: pose, covariance };
         let found = measure(&body, rays(1), TrackPrior::Confirmed(prior));
         let found = found.expect("the track decides").pose.camera_from_markers;
         assert!(error_m(&found, &pose) < 1e-3);

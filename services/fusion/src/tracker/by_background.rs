@@ -1,20 +1,24 @@
 //! Background passes: their jobs, and their answers, whose frames may have ended meanwhile.
 
 use flockeye_contract::FrameOrder;
+use flockeye_geometry::filter::HISTORY_S;
 
-use super::{FilterChoice, FrameTime, Tracker, Update};
-use crate::decide::outcome::{AnswerCase, Outcome};
-use crate::frame::parts::{Part, Parts};
-use crate::measure::background::{Answer, BackgroundQueue, Job, Subject};
+use super::{Tracker, Update};
+use crate::account::Trial;
+use crate::decide::is_independent;
+use crate::decide::outcome::Outcome;
+use crate::frame::parts::Part;
+use crate::measure::FrameTime;
+use crate::measure::background::{BackgroundQueue, Job, UnderWay};
 
 impl Tracker {
     /// The background pass that is to be run now.
-    pub fn take_job(&mut self) -> Option<Job> {
+    pub(crate) fn take_job(&mut self) -> Option<Job> {
         self.background.as_mut()?.take_job()
     }
 
     /// The frame in which a background pass may still find something.
-    pub fn awaited(&self) -> Option<FrameOrder> {
+    pub(crate) fn awaited(&self) -> Option<FrameOrder> {
         self.background.as_ref().and_then(BackgroundQueue::awaited)
     }
 
@@ -23,70 +27,75 @@ impl Tracker {
         self.background.as_ref().is_some_and(|queue| queue.is_about(order))
     }
 
-    /// Takes in the answer of a background pass. `parts` are those of its frame. If that has ended
-    /// meanwhile, the answer only corrects a track that it agrees with, or starts one.
-    pub fn background_answer(
-        &mut self,
-        answer: Answer,
-        parts: Option<&mut Parts>,
-    ) -> Option<(FrameOrder, Update)> {
-        let (order, target) = (answer.subject.order, answer.subject.target);
-        let is_wanted = self.background.as_mut()?.finish();
-        let part = parts.and_then(|parts| parts.get_mut(target));
-        let (update, outcome) = match is_wanted {
-            true => self.take_in_answer(&answer, part),
-            false => (None, Outcome::Cancelled),
-        };
-        self.note_trial(order, target, *answer.trial, outcome);
-        Some((order, update?))
+    /// The frame of the background pass that is under way, cancelled or not.
+    pub(crate) fn under_way(&self) -> Option<FrameOrder> {
+        Some(self.background.as_ref()?.under_way.as_ref()?.time.order)
     }
 
-    /// Takes in what a background pass found, and says what became of it.
+    /// Takes in the answer of the background pass that was under way. `parts` are those of its
+    /// frame. If that has ended meanwhile, the answer only corrects a track that it agrees with, or
+    /// starts one.
+    pub(crate) fn background_answer(
+        &mut self,
+        answer: Trial,
+        parts: Option<&mut Vec<Part>>,
+    ) -> Option<(FrameOrder, Update)> {
+        let finished = self.background.as_mut()?.finish()?;
+        let part = parts.and_then(|parts| parts.get_mut(finished.target));
+        let (update, outcome) = match finished.is_cancelled {
+            true => (None, Outcome::Cancelled),
+            false => self.take_in_answer(&finished, &answer, part),
+        };
+        self.note_trial(finished.time.order, finished.target, answer, outcome);
+        Some((finished.time.order, update?))
+    }
+
+    /// Takes in what a background pass found, and says what became of it. When its frame has ended,
+    /// the pose must agree with the track or begin one, and nothing of it is published.
     fn take_in_answer(
         &mut self,
-        answer: &Answer,
+        &UnderWay { time, target, rays_m, .. }: &UnderWay,
+        trial: &Trial,
         part: Option<&mut Part>,
     ) -> (Option<Update>, Outcome) {
-        let Answer { subject: Subject { order, at_s, target }, is_independent, rays_m, .. } =
-            *answer;
-        let case = AnswerCase {
-            is_late: part.is_none(),
-            is_independent,
-            is_tracked: self.targets[target].is_tracked(),
-            is_within_history: self.is_within_history(order, at_s),
-        };
-        if case.is_late && case.may_begin_track() {
+        let is_late = part.is_none();
+        // A pose that was found by the prior of a track that is lost since then means nothing.
+        let may_begin_track =
+            is_independent(&trial.decision, &trial.hypotheses, trial.is_confirmed)
+                && !self.targets[target].is_tracked()
+                && self.is_within_history(time);
+        if is_late && may_begin_track {
             // The frames since then did not show it only because it was not looked for there.
             self.targets[target].forget();
         }
-        let Some(measurement) = answer.trial.measurement() else {
+        let Some(measurement) = trial.measurement() else {
             return (None, Outcome::Nothing);
         };
-        let measurement = self.corrected(measurement, rays_m, target, at_s);
-        if case.waits(&measurement) {
+        let measurement = self.corrected(measurement, rays_m, target, time.at_s);
+        if !is_late && !measurement.is_precise {
+            // Something better may be found until the frame ends.
             part.into_iter().for_each(|part| part.imprecise = Some(measurement));
             return (None, Outcome::Imprecise(measurement));
         }
-        let ego = &self.camera.ego;
-        let is_inside_gate = || self.targets[target].is_inside_gate(at_s, &measurement, ego);
-        if !case.is_accepted(is_inside_gate) {
+        let is_inside_gate =
+            || self.targets[target].is_inside_gate(time.at_s, &measurement, &self.camera.ego);
+        if is_late && !may_begin_track && !is_inside_gate() {
             return (None, Outcome::OutsideGate(measurement));
         }
-        // The number of the frame matters only to passes that are still to run.
-        let time = FrameTime { order, at_s, number: 0 };
         let (update, outcome) = self.take_in(time, target, part, measurement);
-        let outcome = case.outcome(outcome, update.is_some());
+        let outcome = match is_late && update.is_some() {
+            true => Outcome::Late(measurement),
+            false => outcome,
+        };
         (update, outcome)
     }
 
     /// Whether measurements of a frame that was exposed then still count. Those of another source
     /// do not: its clock may be another.
-    fn is_within_history(&self, order: FrameOrder, at_s: f64) -> bool {
-        match self.filter {
-            FilterChoice::Tracks(policy) => self.ended.is_none_or(|(ended, ended_s)| {
-                (ended.0, ended.1) == (order.0, order.1) && ended_s - at_s <= policy.history_s
-            }),
-            FilterChoice::None => false,
-        }
+    fn is_within_history(&self, FrameTime { order, at_s, .. }: FrameTime) -> bool {
+        self.filter.is_some()
+            && self.ended.is_none_or(|(ended, ended_s)| {
+                (ended.0, ended.1) == (order.0, order.1) && ended_s - at_s <= HISTORY_S
+            })
     }
 }

@@ -1,15 +1,15 @@
 //! The corner pass: measures targets by their markers, and by the picture from there.
 
+use flockeye_contract::MeasuredBy;
 use flockeye_geometry::pose::CornerRay;
 
-use super::{FrameTime, Tracker, Update};
-use crate::account::{AccountEntry, NotRun, Pass};
+use super::{Tracker, Update};
+use crate::account::{AccountEntry, NotRun, Pass, Trial};
 use crate::decide::outcome::Outcome;
-use crate::frame::parts::{Part, Parts, Status};
-use crate::measure::background::Subject;
-use crate::measure::inputs::{Inputs, Permit};
-use crate::measure::{AnsweredView, BestViews, Row};
-use crate::measurement::{MeasuredBy, candidate_rays, decoded_rays};
+use crate::frame::parts::{Part, Status};
+use crate::measure::inputs::PassInputs;
+use crate::measure::{AnsweredView, BestViews, FrameTime};
+use crate::measurement::{candidate_rays, decoded_rays, marker_ids};
 use crate::parallel;
 use crate::policy::{TimeBudget, is_search_turn};
 use crate::track_prior::TrackPrior;
@@ -17,25 +17,24 @@ use crate::track_prior::TrackPrior;
 impl Tracker {
     /// Measures targets, each from some of a frame's records and its best view, and takes in what
     /// was found.
-    pub(crate) fn corner_pass(
+    pub(super) fn corner_pass(
         &mut self,
         time: FrameTime,
-        parts: &mut Parts,
+        parts: &mut [Part],
         tried: &[(usize, &[AnsweredView<'_>])],
         best_views: &BestViews<'_>,
         pass: Pass,
         budget: TimeBudget,
     ) -> Vec<Update> {
-        let row = Row::of(pass);
         // Taken out meanwhile, because the inputs borrow from all else.
         let mut background = self.background.take();
         let has_background = background.is_some();
-        let mut inputs: Vec<Inputs<'_>> = Vec::new();
+        let mut inputs: Vec<PassInputs<'_>> = Vec::new();
         let mut unmeasurable = Vec::new();
         for (target, answered) in tried {
             let Some(part) = parts.get(*target) else { continue };
-            let permit = self.permit(time, *target, part, row, budget, has_background);
-            match self.inputs(time, *target, part, answered, best_views, permit) {
+            let begun = self.begin_trial(time, *target, part, pass, budget, has_background);
+            match self.inputs(time, *target, part, answered, best_views, begun) {
                 Ok(offered) => inputs.push(offered),
                 Err(reason) => unmeasurable.push((*target, reason)),
             }
@@ -47,8 +46,7 @@ impl Tracker {
                 None => attempts.untracked += 1,
             }
         }
-        let aligner = &self.means.aligner;
-        let trials = parallel::map(&inputs, self.means.threads, |inputs| inputs.measure(aligner));
+        let trials = parallel::map(&inputs, self.threads, |inputs| inputs.measure(&self.aligner));
         let mut failed = Vec::new();
         let mut found = Vec::new();
         for (inputs, trial) in inputs.iter().zip(trials) {
@@ -63,9 +61,8 @@ impl Tracker {
                 found.push((target, trial, measurement));
                 continue;
             }
-            let subject = Subject { order: time.order, at_s: time.at_s, target };
             let is_in_background = inputs.wants_background()
-                && background.as_mut().is_some_and(|queue| queue.request(subject, inputs));
+                && background.as_mut().is_some_and(|queue| queue.request(time, inputs));
             failed.push((target, trial, inputs.attempt(), is_in_background, corrected));
         }
         (self.background, self.attempts) = (background, attempts);
@@ -85,24 +82,24 @@ impl Tracker {
         }
         let mut updates = Vec::new();
         for (target, trial, measurement) in found {
-            let (update, outcome) = self.take_in(time, target, parts.get_mut(target), measurement);
-            self.note_trial(time.order, target, trial, outcome);
-            updates.extend(update);
+            let part = parts.get_mut(target);
+            updates.extend(self.take_in_trial(time, target, part, measurement, trial));
         }
         updates
     }
 
-    /// What a corner pass may do for a target. What takes long is left to the background pass where
-    /// others wait for it: a tracked target's frame is still open, or another target is tracked.
-    pub(super) fn permit(
+    /// Begins a corner pass over a target, and says whether it may search round the prediction.
+    /// What takes long is left to the background pass where others wait for it: a tracked target's
+    /// frame is still open, or another target is tracked.
+    pub(super) fn begin_trial(
         &self,
         time: FrameTime,
         target: usize,
         part: &Part,
-        row: &'static Row,
+        pass: Pass,
         budget: TimeBudget,
         has_background: bool,
-    ) -> Permit {
+    ) -> (Trial, bool) {
         let prior = self.prior(target, time.at_s);
         let is_open = prior.confirmed().is_some() && part.is_region_tried;
         // Its track ends after a few frames.
@@ -112,26 +109,26 @@ impl Tracker {
             && (is_open || self.tracks_others(target));
         let may_search = (is_urgent || is_search_turn(time.number, target, self.targets.len()))
             && budget != TimeBudget::Overspent
-            && (row.is_last || is_deferred);
-        Permit { row, budget, is_deferred, may_search }
+            && (pass == Pass::Complete || is_deferred);
+        (Trial { is_deferred, ..Trial::of(pass, &prior, budget) }, may_search)
     }
 
     /// Collects what there is to measure a target by, or gives the reason why there is nothing.
-    pub(crate) fn inputs<'f>(
+    pub(super) fn inputs<'f>(
         &'f self,
         time: FrameTime,
         target: usize,
         part: &'f Part,
         answered: &[AnsweredView<'_>],
         best_views: &BestViews<'f>,
-        permit: Permit,
-    ) -> Result<Inputs<'f>, NotRun> {
+        (begun, may_search): (Trial, bool),
+    ) -> Result<PassInputs<'f>, NotRun> {
         let body = &self.targets.get(target).ok_or(NotRun::NothingKnown)?.body;
         let prior = self.prior(target, time.at_s);
         // All rays are brought to the best known distance before the pose is solved.
         let rays_m = self.camera.parallax.as_ref().map_or(f64::INFINITY, |parallax| {
             let predicted = prior.confirmed().map(|prior| prior.camera_from_markers.translation);
-            predicted.map_or(parallax.assumed_m(), |position| position.vector.norm())
+            predicted.map_or(parallax.assumed_m, |position| position.vector.norm())
         });
         let motion = self.motion(target, time.at_s, &prior);
         let best_view = best_views.get(&target).map(|view| view.moving(motion));
@@ -164,7 +161,13 @@ impl Tracker {
             let is_tracked = prior.predicted().is_some();
             return Err(if is_tracked { NotRun::NoView } else { NotRun::NothingKnown });
         }
-        Ok(Inputs {
+        let trial = Trial {
+            view_index: best_index,
+            decoded: marker_ids(&decoded),
+            doubtful: marker_ids(&candidates),
+            ..begun
+        };
+        Ok(PassInputs {
             target,
             body,
             decoded,
@@ -172,8 +175,8 @@ impl Tracker {
             rays_m,
             prior,
             best_view,
-            place: None,
-            permit,
+            trial,
+            may_search,
             part: Some(part),
         })
     }

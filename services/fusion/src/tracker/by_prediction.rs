@@ -1,41 +1,40 @@
 //! Direct passes: from predictions alone, before regions of interest are searched for markers.
 
-use super::{FrameTime, Tracker, Update};
+use super::{Tracker, Update};
 use crate::account::{AccountEntry, NotRun, Pass, Trial};
+use crate::aligner::BestView;
 use crate::decide::Verdict;
 use crate::decide::outcome::Outcome;
-use crate::frame::parts::{Part, Parts, RejectedAlignment, Status};
-use crate::measure::inputs::Inputs;
-use crate::measure::{Region, Row};
+use crate::frame::parts::{Part, Status, is_published};
+use crate::hypothesis::Hypothesis;
+use crate::measure::FrameTime;
+use crate::measure::inputs::PassInputs;
 use crate::parallel;
+use crate::policy::TimeBudget;
 
 impl Tracker {
-    /// The direct pass over regions of interest of one frame that have been cut. Targets whose pose
-    /// is not accepted wait for their markers.
-    pub fn direct_pass(
+    /// The direct pass over regions of interest of one frame that have been cut, each with its
+    /// target's number. Targets whose pose is not accepted wait for their markers.
+    pub(crate) fn direct_pass(
         &mut self,
         time: FrameTime,
-        parts: &mut Parts,
-        regions: &[Region<'_>],
+        parts: &mut [Part],
+        regions: &[(usize, BestView<'_>)],
     ) -> Vec<Update> {
-        let mut inputs: Vec<Inputs<'_>> = Vec::new();
+        let mut inputs: Vec<PassInputs<'_>> = Vec::new();
         let mut not_run = Vec::new();
-        for region in regions {
-            match self.region_inputs(time, parts, region) {
+        for (target, view) in regions {
+            match self.region_inputs(time, parts, *target, view) {
                 Ok(offered) => inputs.push(offered),
-                Err(reason) => not_run.push((region.target, reason)),
+                Err(reason) => not_run.push((*target, reason)),
             }
         }
-        let measure = |inputs: &Inputs<'_>| {
+        let measure = |inputs: &PassInputs<'_>| {
             let rate = inputs.best_view.map(|view| view.picture.motion.rate_in_camera.norm());
-            (
-                inputs.target,
-                inputs.rays_m,
-                rate.unwrap_or_default(),
-                inputs.measure(&self.means.aligner),
-            )
+            let trial = inputs.measure(&self.aligner);
+            (inputs.target, inputs.rays_m, rate.unwrap_or_default(), trial)
         };
-        let measured = parallel::map(&inputs, self.means.threads, measure);
+        let measured = parallel::map(&inputs, self.threads, measure);
         self.attempts.direct += measured.len() as u32;
         for (target, reason) in not_run {
             self.note(time.order, target, AccountEntry::NotRun(Pass::Direct, reason));
@@ -68,9 +67,8 @@ impl Tracker {
         let accepted = measured.filter(|(measurement, _)| {
             self.targets[target].is_inside_gate(time.at_s, measurement, &self.camera.ego)
         });
-        let found = trial.hypotheses.first().map(|hypothesis| hypothesis.found.clone());
-        let stretch_px2 = found.as_ref().and_then(|found| found.as_ref().ok()?.stretch_px2);
-        if let (Some(_), Some(stretch_px2)) = (&accepted, stretch_px2) {
+        let found = trial.hypotheses.first().and_then(Hypothesis::alignment);
+        if let (Some(_), Some(stretch_px2)) = (&accepted, found.and_then(|it| it.stretch_px2)) {
             self.camera.exposure.note(target, stretch_px2, rate);
         }
         let (update, outcome) = match accepted {
@@ -82,13 +80,7 @@ impl Tracker {
                 (update, outcome)
             }
             None => {
-                part.rejected = found.zip(trial.predicted).zip(trial.view_index).map(
-                    |((found, predicted), view_index)| RejectedAlignment {
-                        predicted,
-                        view_index,
-                        found: found.map(Box::new),
-                    },
-                );
+                part.rejected = Some(Box::new(trial.clone()));
                 (None, measured.map_or(Outcome::Nothing, |(pose, _)| Outcome::OutsideGate(pose)))
             }
         };
@@ -103,22 +95,34 @@ impl Tracker {
     fn region_inputs<'f>(
         &'f self,
         time: FrameTime,
-        parts: &Parts,
-        region: &Region<'f>,
-    ) -> Result<Inputs<'f>, NotRun> {
-        let number = region.target;
+        parts: &[Part],
+        number: usize,
+        view: &BestView<'f>,
+    ) -> Result<PassInputs<'f>, NotRun> {
         let target = self.targets.get(number).ok_or(NotRun::NotMeasuredBefore)?;
-        if parts.is_published(number) {
+        if is_published(parts, number) {
             return Err(NotRun::Published);
         }
-        if self.direct_policy.is_suspended(number) {
+        if target.is_suspended() {
             return Err(NotRun::Suspended);
         }
         let prior = self.prior(number, time.at_s);
-        if !Row::of(Pass::Direct).prior.allows(target) || prior.confirmed().is_none() {
+        if !Pass::Direct.allows(target) || prior.confirmed().is_none() {
             return Err(NotRun::NotMeasuredBefore);
         }
-        let view = region.view.moving(self.motion(number, time.at_s, &prior));
-        Ok(Inputs::of_view(Pass::Direct, number, &target.body, prior, view))
+        let begun = Trial::of(Pass::Direct, &prior, TimeBudget::OneFrame);
+        let view = view.moving(self.motion(number, time.at_s, &prior));
+        Ok(PassInputs {
+            target: number,
+            body: &target.body,
+            decoded: Vec::new(),
+            candidates: Vec::new(),
+            rays_m: view.rays_m,
+            prior,
+            best_view: Some(view),
+            trial: Trial { view_index: Some(view.view_index), ..begun },
+            may_search: false,
+            part: None,
+        })
     }
 }

@@ -3,17 +3,16 @@
 use flockeye_contract::FrameOrder;
 use flockeye_geometry::ego_rotation::EgoRotation;
 
-use super::{FilterChoice, Tracker};
-use crate::exposure::LearnedExposure;
-use crate::snapshot::SavedTarget;
+use super::Tracker;
+use crate::target::SavedTarget;
 
 impl Tracker {
     /// The targets with their tracks, how the camera has turned, and what blur has shown of the
     /// exposure. `published` says in which frame each target's pose has left last.
-    pub fn saved(
+    pub(crate) fn saved(
         &self,
         published: impl Fn(usize) -> Option<FrameOrder>,
-    ) -> (Vec<SavedTarget>, EgoRotation, LearnedExposure) {
+    ) -> (Vec<SavedTarget>, EgoRotation, (f64, f64)) {
         let targets = self.targets.iter().enumerate();
         let saved = targets.map(|(number, target)| target.saved(published(number))).collect();
         (saved, self.camera.ego.clone(), self.camera.exposure.learned())
@@ -21,13 +20,13 @@ impl Tracker {
 
     /// Goes on with the tracks of another process, and returns the names of their bodies. Bodies
     /// that this process does not know, and tracks with numbers that are not finite, are left out.
-    pub fn resume(
+    pub(crate) fn resume(
         &mut self,
         saved: Vec<SavedTarget>,
         ego: EgoRotation,
-        exposure: LearnedExposure,
+        exposure: (f64, f64),
     ) -> Vec<String> {
-        let has_tracks = self.filter != FilterChoice::None && self.camera.ego.resume(ego);
+        let has_tracks = self.filter.is_some() && self.camera.ego.resume(ego);
         if has_tracks {
             self.camera.exposure.resume(exposure);
         }

@@ -2,23 +2,122 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "of the drawings")]
 
+use std::collections::BTreeMap;
+use std::ops::{Deref, DerefMut};
+
 use super::*;
 use crate::aligner::BestView;
 use crate::fixtures::*;
-use crate::measure::inputs::Permit;
-use crate::measure::{Region, Row};
-use crate::measurement::{MeasuredBy, PoseEstimate, agreeing_candidates, candidate_rays};
+use crate::frame::parts::parts_of;
+use crate::measurement::{agreeing_candidates, candidate_rays};
 use crate::policy::{SUSPENDED_FRAMES, is_search_turn};
 use crate::record::Record;
+use flockeye_contract::MeasuredBy;
 use flockeye_geometry::filter::TrackState;
+use flockeye_geometry::pose::PoseEstimate;
 use flockeye_geometry::search::Purpose;
 use nalgebra::{Isometry3, Matrix6};
 
 mod background;
 
+/// A tracker, with the parts of its targets in frames that have not ended.
+struct Tracking {
+    tracker: Tracker,
+    parts: BTreeMap<u64, Vec<Part>>,
+}
+
+impl Tracking {
+    fn of(tracker: Tracker) -> Self {
+        Self { tracker, parts: BTreeMap::new() }
+    }
+
+    fn with_background(mut self) -> Self {
+        self.tracker.background = Some(BackgroundQueue::default());
+        self
+    }
+
+    /// The tracker, with the parts of its targets in a frame.
+    fn at(&mut self, sequence: u64) -> (&mut Tracker, &mut Vec<Part>) {
+        let targets = self.tracker.targets().len();
+        let parts = self.parts.entry(sequence).or_insert_with(|| parts_of(targets, |_| false));
+        (&mut self.tracker, parts)
+    }
+
+    /// The parts of a frame, if it has not ended.
+    fn open_parts(&mut self, sequence: u64) -> (&mut Tracker, Option<&mut Vec<Part>>) {
+        (&mut self.tracker, self.parts.get_mut(&sequence))
+    }
+
+    fn take_in(
+        &mut self,
+        time: FrameTime,
+        target: usize,
+        measurement: &PoseMeasurement,
+    ) -> Option<Update> {
+        let (tracker, parts) = self.at(time.order.2);
+        tracker.take_in(time, target, parts.get_mut(target), *measurement).0
+    }
+}
+
+impl Deref for Tracking {
+    type Target = Tracker;
+
+    fn deref(&self) -> &Tracker {
+        &self.tracker
+    }
+}
+
+impl DerefMut for Tracking {
+    fn deref_mut(&mut self) -> &mut Tracker {
+        &mut self.tracker
+    }
+}
+
+fn time(sequence: u64) -> FrameTime {
+    FrameTime { order: stamp(sequence).order(), at_s: at_s(sequence), number: sequence }
+}
+
+/// A record of alpha's region of interest.
+fn of_region(record: &Record) -> AnsweredView<'_> {
+    AnsweredView { record, purpose: Some(Purpose::Roi(0)), view: None }
+}
+
+/// A record of a tile.
+fn of_tile(record: &Record) -> AnsweredView<'_> {
+    AnsweredView { record, purpose: Some(Purpose::Partition(0)), view: None }
+}
+
+/// The corner pass over alpha's region, in which its markers were found at `pose`.
+fn see(tracker: &mut Tracking, sequence: u64, pose: &Isometry3<f64>) -> Vec<Update> {
+    let record = record(sequence, pose);
+    let (answered, views) = ([of_region(&record)], BestViews::new());
+    let (tracker, parts) = tracker.at(sequence);
+    tracker.region_pass(time(sequence), parts, &answered, &views, TimeBudget::Unlimited)
+}
+
+/// Ends a frame of which nothing more is known.
+fn end(tracking: &mut Tracking, sequence: u64) -> Vec<Update> {
+    let (time, views) = (time(sequence), BestViews::new());
+    let (tracker, parts) = tracking.at(sequence);
+    let updates = tracker.final_pass(time, parts, &[], &views, TimeBudget::Unlimited);
+    tracker.end_frame(time.order, time.at_s, parts);
+    tracking.parts.remove(&sequence);
+    updates
+}
+
+/// A tracker that has measured alpha in frames 0 to 2.
+fn following(pose: &Isometry3<f64>) -> Tracking {
+    let mut tracker = Tracking::of(tracker_of(vec![alpha()], 1));
+    for sequence in 0..3 {
+        assert_eq!(see(&mut tracker, sequence, pose).len(), 1);
+        assert!(end(&mut tracker, sequence).is_empty(), "its pose has left already");
+    }
+    tracker
+}
+
 fn direct(tracker: &mut Tracking, sequence: u64, view: &BestView<'_>) -> Option<Update> {
     let (tracker, parts) = tracker.at(sequence);
-    tracker.direct_pass(time(sequence), parts, &[Region { target: 0, view: *view }]).pop()
+    tracker.direct_pass(time(sequence), parts, &[(0, *view)]).pop()
 }
 
 fn untracked() -> Tracking {
@@ -75,7 +174,7 @@ fn a_confirmed_target_is_measured_before_its_region_is_searched() {
         let error_m = error_m(&measured.camera_from_markers, &truth);
         assert!(error_m < 2e-3, "{error_m} m");
         // Its view in this frame need not be held any more, that in the next one is.
-        let shown = [3, 4].map(|sequence| tracker.at(sequence).1.unpublished().count());
+        let shown = [3, 4].map(|sequence| unpublished(tracker.at(sequence).1).count());
         assert_eq!(shown, [0, 1]);
         // The markers that are found later agree, and there is nothing to add.
         assert!(see(&mut tracker, 3, &truth).is_empty());
@@ -118,12 +217,12 @@ fn the_start_of_a_rejected_direct_pass_is_not_aligned_again() {
     let mut is_measured = |view: &BestView<'_>| {
         let best_views = BestViews::from([(0, *view)]);
         let budget = TimeBudget::OneFrame;
-        let row = Row::of(Pass::Complete);
-        let permit = Permit { row, budget, is_deferred: true, may_search: false };
         let (tracker, parts) = tracker.at(3);
-        let part = parts.get(0).unwrap();
-        let inputs = tracker.inputs(time(3), 0, part, &answered, &best_views, permit);
-        inputs.expect("it was predicted").measure(&tracker.means.aligner).measurement().is_some()
+        let prior = tracker.prior(0, at_s(3));
+        let begun = Trial { is_deferred: true, ..Trial::of(Pass::Complete, &prior, budget) };
+        let part = parts.first().unwrap();
+        let inputs = tracker.inputs(time(3), 0, part, &answered, &best_views, (begun, false));
+        inputs.expect("it was predicted").measure(&tracker.aligner).measurement().is_some()
     };
     with_view(&truth, |view| {
         assert!(!is_measured(view), "it would be found, were it aligned again");
@@ -137,8 +236,8 @@ fn a_frame_without_time_is_not_searched_round_predictions() {
     let truth = pose(0.9);
     let mut tracker = following(&truth);
     let mut may_search = |budget| {
-        let ((tracker, parts), row) = (tracker.at(3), Row::of(Pass::Complete));
-        tracker.permit(time(3), 0, parts.get(0).unwrap(), row, budget, true).may_search
+        let ((tracker, parts), pass) = (tracker.at(3), Pass::Complete);
+        tracker.begin_trial(time(3), 0, parts.first().unwrap(), pass, budget, true).1
     };
     assert!(may_search(TimeBudget::OneFrame), "frame 3 is one of those that search");
     assert!(!may_search(TimeBudget::Overspent));
@@ -196,7 +295,7 @@ fn direct_passes_on_several_threads_give_the_same() {
         }
         // Where bravo should be, its view shows nothing like it.
         with_view(&here, |view| {
-            let regions = [0, 1].map(|target| Region { target, view: *view });
+            let regions = [0, 1].map(|target| (target, *view));
             let (tracker, parts) = tracker.at(3);
             tracker.direct_pass(time(3), parts, &regions)
         })
@@ -217,7 +316,7 @@ fn regions_of_targets_that_do_not_exist_are_ignored() {
     let updates = tracker.region_pass(time(3), parts, &answered, &views, TimeBudget::Unlimited);
     assert!(updates.is_empty());
     with_view(&truth, |view| {
-        let regions = [Region { target: 9, view: *view }];
+        let regions = [(9, *view)];
         assert!(tracker.direct_pass(time(3), parts, &regions).is_empty());
     });
 }
@@ -229,7 +328,7 @@ fn an_imprecise_measurement_only_corrects_a_track_that_it_agrees_with() {
     let imprecise = |camera_from_markers: &Isometry3<f64>| {
         let precise = measurement(camera_from_markers);
         let pose = PoseEstimate { covariance: Matrix6::identity() * 2e-3, ..precise.pose };
-        Measurement { pose, is_precise: false, ..precise }
+        PoseMeasurement { pose, is_precise: false, ..precise }
     };
     assert!(untracked().take_in(time(0), 0, &imprecise(&truth)).is_none(), "it starts no track");
 
@@ -267,8 +366,8 @@ fn what_is_imprecise_waits_until_nothing_better_can_come() {
     let truth = far_away();
     let bodies = Bodies::new("DICT_5X5_250".into(), vec![alpha()]).unwrap();
     let aligner = aligner(&bodies).with_covariance_scale(13.5);
-    let filter = FilterChoice::Tracks(TrackPolicy::default());
-    let mut tracker = Tracking::of(Tracker::new(&bodies, filter, Arc::new(aligner), 1));
+    let filter = Some(TrackPolicy::default());
+    let mut tracker = Tracking::of(Tracker::new(&bodies, filter, Arc::new(aligner), 1, None));
     measured_at(&mut tracker, &truth);
     with_view(&truth, |view| {
         let best_views = BestViews::from([(0, *view)]);

@@ -1,4 +1,5 @@
-//! Frames that tests make up: bodies, poses, records and views. Tests of `flockeye-replay` use them too.
+//! Frames that tests make up: bodies, poses, records and views. Tests of `flockeye-replay` use them
+//! too.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, missing_docs, reason = "of the drawings")]
 #![allow(dead_code, reason = "neither crate uses all of it")]
@@ -6,14 +7,16 @@
 use std::sync::OnceLock;
 
 use flockeye_contract::{
-    DetectedMarker, DetectionHeader, FrameEnd, FrameStamp, Transfer, ViewHeader, ViewKind,
+    DetectedMarker, DetectionHeader, FrameEnd, FrameStamp, MeasuredBy, Transfer, ViewHeader,
+    ViewKind,
 };
 use flockeye_geometry::body::{Body, squares};
+use flockeye_geometry::pose::PoseEstimate;
 use flockeye_geometry::view::View;
 use flockeye_imaging::align::{Alignment, Evidence, is_precise};
-use nalgebra::{Isometry3, Matrix2, Matrix6, Point3, Translation3, UnitQuaternion};
+use nalgebra::{Isometry3, Matrix6, Point3, Translation3, UnitQuaternion};
 
-use super::{MeasuredBy, Measurement, PoseEstimate, Record};
+use super::{PoseMeasurement, Record};
 use crate::drawn_body::{Drawing, draw};
 
 pub const PIXELS_PER_RADIAN: f64 = 611.0;
@@ -121,27 +124,25 @@ pub fn region_end(sequence: u64, plan_id: u64, views_issued: u32) -> FrameEnd {
     FrameEnd { stamp: stamp(sequence), plan_id, views_issued, ..FrameEnd::default() }
 }
 
-/// What alignment has led to: a pose with these log odds, and this deviation along and about each axis, metres and radians.
+/// What alignment has led to: a pose with these log odds, and this deviation along and about each
+/// axis, metres and radians.
 pub fn alignment(camera_from_markers: Isometry3<f64>, log_odds: f64, sigma: f64) -> Alignment {
     let covariance = Matrix6::from_diagonal_element(sigma * sigma);
     Alignment {
         camera_from_markers,
         covariance,
         is_precise: is_precise(&covariance),
-        blur_px2: Matrix2::identity(),
         stretch_px2: None,
         evidence: Evidence { log_odds, ..Evidence::default() },
         visible_share: 1.0,
-        samples: 900,
-        iterations: 5,
     }
 }
 
 /// A certain measurement.
-pub fn measurement(camera_from_markers: &Isometry3<f64>) -> Measurement {
+pub fn measurement(camera_from_markers: &Isometry3<f64>) -> PoseMeasurement {
     let covariance = Matrix6::identity() * 1e-6;
     let pose = PoseEstimate { camera_from_markers: *camera_from_markers, covariance };
-    Measurement { pose, measured_by: MeasuredBy::Decoded, markers: 2, is_precise: true }
+    PoseMeasurement { pose, measured_by: MeasuredBy::Decoded, markers: 2, is_precise: true }
 }
 
 /// A drawing of alpha at `pose`.

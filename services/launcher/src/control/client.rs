@@ -8,7 +8,7 @@ use anyhow::{Context, bail};
 use flockeye_runtime::instance::Instance;
 use serde_json::Value;
 
-use super::{Reply, Request, socket_path};
+use super::{ControlRequest, Reply, socket_path};
 
 /// A launcher that sends nothing for this long hangs. A swap sends a line at each step.
 const PATIENCE: Duration = Duration::from_secs(120);
@@ -20,7 +20,7 @@ const PATIENCE: Duration = Duration::from_secs(120);
 /// It cannot be reached, or it has not done what was asked for; the message is its reason.
 pub fn ask(
     instance: &Instance,
-    request: &Request,
+    request: &ControlRequest,
     mut show: impl FnMut(&str),
 ) -> anyhow::Result<(String, Value)> {
     let path = socket_path(instance.folder());

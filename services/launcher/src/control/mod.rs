@@ -8,7 +8,7 @@
 //! | [`client`] | the side of `flockeye status`, `swap` and the like |
 
 pub mod client;
-pub mod server;
+pub(crate) mod server;
 
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -18,29 +18,34 @@ use flockeye_contract::StageName;
 use serde::{Deserialize, Serialize};
 
 /// The socket of the instance in `folder`.
-pub fn socket_path(folder: &Path) -> PathBuf {
+pub(crate) fn socket_path(folder: &Path) -> PathBuf {
     folder.join("control")
 }
 
 /// A request longer than this is refused.
-pub const MAX_REQUEST_BYTES: usize = 65_536;
+pub(crate) const MAX_REQUEST_BYTES: usize = 65_536;
 
 /// One worker of a stage, written `detection.1`, or `fusion` for the first.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(into = "String", try_from = "String")]
-pub struct Worker {
+pub struct WorkerName {
     /// The stage.
     pub stage: StageName,
     /// Which of its workers, from 0.
     pub replica: u32,
 }
 
-impl fmt::Display for Worker {
+impl fmt::Display for WorkerName {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self.replica {
-            0 => f.write_str(self.stage.name()),
-            replica => write!(f, "{}.{replica}", self.stage.name()),
-        }
+        f.write_str(&worker_label(self.stage.name(), self.replica))
+    }
+}
+
+/// A worker of a stage that may be a foreign one, as a [`WorkerName`] is written.
+pub(crate) fn worker_label(stage: &str, replica: u32) -> String {
+    match replica {
+        0 => stage.to_owned(),
+        replica => format!("{stage}.{replica}"),
     }
 }
 
@@ -55,7 +60,7 @@ pub fn stage_name(text: &str) -> Result<StageName, String> {
     })
 }
 
-impl FromStr for Worker {
+impl FromStr for WorkerName {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
@@ -68,13 +73,13 @@ impl FromStr for Worker {
     }
 }
 
-impl From<Worker> for String {
-    fn from(worker: Worker) -> Self {
+impl From<WorkerName> for String {
+    fn from(worker: WorkerName) -> Self {
         worker.to_string()
     }
 }
 
-impl TryFrom<String> for Worker {
+impl TryFrom<String> for WorkerName {
     type Error = String;
 
     fn try_from(text: String) -> Result<Self, String> {
@@ -85,23 +90,23 @@ impl TryFrom<String> for Worker {
 /// What a client asks for.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "command", rename_all = "snake_case", deny_unknown_fields)]
-pub enum Request {
+pub enum ControlRequest {
     /// What runs.
     Status,
     /// End a worker and leave it ended; without one: end the pipeline.
     Stop {
         /// Which worker.
-        worker: Option<Worker>,
+        worker: Option<WorkerName>,
     },
     /// Start a worker that was ended or given up.
     Start {
         /// Which worker.
-        worker: Worker,
+        worker: WorkerName,
     },
     /// End a worker and start it again.
     Restart {
         /// Which worker.
-        worker: Worker,
+        worker: WorkerName,
     },
     /// Replace a worker's process by another one.
     Swap(SwapRequest),
@@ -112,7 +117,7 @@ pub enum Request {
 #[serde(deny_unknown_fields)]
 pub struct SwapRequest {
     /// Which worker.
-    pub worker: Worker,
+    pub worker: WorkerName,
     /// Settings to be changed, `key.path=value`.
     #[serde(default)]
     pub set: Vec<String>,
@@ -145,12 +150,12 @@ pub enum Reply {
 
 impl Reply {
     /// An answer that the request is done. The text is the whole result.
-    pub fn done(text: impl Into<String>) -> Self {
+    pub(crate) fn done(text: impl Into<String>) -> Self {
         Self::Done { text: text.into(), report: serde_json::Value::Null }
     }
 
     /// Whether nothing follows.
-    pub fn is_last(&self) -> bool {
+    pub(crate) fn is_last(&self) -> bool {
         !matches!(self, Self::Progress(_))
     }
 }
@@ -163,27 +168,29 @@ mod tests {
     #[test]
     fn workers_are_read_as_they_are_written() {
         for text in ["fusion", "detection.1", "gateway"] {
-            assert_eq!(text.parse::<Worker>().unwrap().to_string(), text);
+            assert_eq!(text.parse::<WorkerName>().unwrap().to_string(), text);
         }
-        assert!("fusions".parse::<Worker>().unwrap_err().contains("Stages: capture, simulator"));
-        assert!("detection.x".parse::<Worker>().unwrap_err().contains("'x' is not the number"));
+        assert!(
+            "fusions".parse::<WorkerName>().unwrap_err().contains("Stages: capture, simulator")
+        );
+        assert!("detection.x".parse::<WorkerName>().unwrap_err().contains("'x' is not the number"));
     }
 
     #[test]
     fn requests_survive_the_socket() {
-        let swap = Request::Swap(SwapRequest {
+        let swap = ControlRequest::Swap(SwapRequest {
             worker: "detection.1".parse().unwrap(),
             set: vec!["detection.dictionary=X".to_owned()],
             program: vec!["python3".to_owned()],
             within_s: 10.0,
             accept_worse: false,
         });
-        for request in [swap, Request::Status, Request::Stop { worker: None }] {
+        for request in [swap, ControlRequest::Status, ControlRequest::Stop { worker: None }] {
             let text = serde_json::to_string(&request).unwrap();
-            assert_eq!(serde_json::from_str::<Request>(&text).unwrap(), request, "{text}");
+            assert_eq!(serde_json::from_str::<ControlRequest>(&text).unwrap(), request, "{text}");
         }
         let unknown = r#"{"command":"stop","worker":"fusions"}"#;
-        let error = serde_json::from_str::<Request>(unknown).unwrap_err().to_string();
+        let error = serde_json::from_str::<ControlRequest>(unknown).unwrap_err().to_string();
         assert!(error.contains("there is no stage 'fusions'"), "{error}");
     }
 }

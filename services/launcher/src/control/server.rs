@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::Context;
 
-use super::{MAX_REQUEST_BYTES, Reply, Request, socket_path};
+use super::{ControlRequest, MAX_REQUEST_BYTES, Reply, socket_path};
 
 /// A client that has not sent its request after this long is dropped.
 const REQUEST_TIME: Duration = Duration::from_secs(2);
@@ -18,9 +18,9 @@ const MAX_CLIENTS: usize = 16;
 
 /// A client, as long as it is connected.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub struct ClientId(u64);
+pub(crate) struct ClientId(u64);
 
-struct Client {
+struct ControlClient {
     stream: UnixStream,
     received: Vec<u8>,
     since: Instant,
@@ -28,9 +28,9 @@ struct Client {
 }
 
 /// The socket, and who is connected.
-pub struct Server {
+pub(crate) struct Server {
     listener: UnixListener,
-    clients: BTreeMap<ClientId, Client>,
+    clients: BTreeMap<ClientId, ControlClient>,
     next: u64,
 }
 
@@ -39,7 +39,7 @@ impl Server {
     ///
     /// # Errors
     /// The system's reason.
-    pub fn open(folder: &Path) -> anyhow::Result<Self> {
+    pub(crate) fn open(folder: &Path) -> anyhow::Result<Self> {
         let path = socket_path(folder);
         let context = || format!("cannot open the control channel {}", path.display());
         // A launcher that was killed has left it. Only one at a time has the instance.
@@ -54,7 +54,7 @@ impl Server {
     }
 
     /// The requests that have come. Clients that send no request get an error and are dropped.
-    pub fn poll(&mut self) -> Vec<(ClientId, Request)> {
+    pub(crate) fn poll(&mut self) -> Vec<(ClientId, ControlRequest)> {
         while self.clients.len() < MAX_CLIENTS
             && let Ok((stream, _)) = self.listener.accept()
         {
@@ -62,8 +62,12 @@ impl Server {
                 tracing::debug!("a control client is dropped: {error}");
                 continue;
             }
-            let client =
-                Client { stream, received: Vec::new(), since: Instant::now(), has_asked: false };
+            let client = ControlClient {
+                stream,
+                received: Vec::new(),
+                since: Instant::now(),
+                has_asked: false,
+            };
             self.clients.insert(ClientId(self.next), client);
             self.next += 1;
         }
@@ -88,7 +92,7 @@ impl Server {
     }
 
     /// Sends a reply. The last one closes the connection, and so does a client that does not read.
-    pub fn reply(&mut self, id: ClientId, reply: &Reply) {
+    pub(crate) fn reply(&mut self, id: ClientId, reply: &Reply) {
         let Some(client) = self.clients.get_mut(&id) else { return };
         let is_sent = serde_json::to_vec(reply).is_ok_and(|mut line| {
             line.push(b'\n');
@@ -103,12 +107,12 @@ impl Server {
 /// What a client has sent.
 enum ClientInput {
     Nothing,
-    Request(Request),
+    Request(ControlRequest),
     Nonsense(String),
     Closed,
 }
 
-impl Client {
+impl ControlClient {
     fn receive(&mut self) -> ClientInput {
         let mut chunk = [0; 4096];
         loop {
@@ -151,23 +155,7 @@ mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
     use std::io::{BufRead, BufReader};
-
-    struct Folder(std::path::PathBuf);
-
-    impl Folder {
-        fn new(name: &str) -> Self {
-            let path =
-                std::env::temp_dir().join(format!("flock-ctl-{name}-{}", std::process::id()));
-            std::fs::create_dir_all(&path).unwrap();
-            Self(path)
-        }
-    }
-
-    impl Drop for Folder {
-        fn drop(&mut self) {
-            drop(std::fs::remove_dir_all(&self.0));
-        }
-    }
+    use tempfile::TempDir;
 
     fn line(stream: &UnixStream) -> String {
         stream.set_read_timeout(Some(Duration::from_secs(20))).unwrap();
@@ -176,7 +164,7 @@ mod tests {
         text
     }
 
-    fn poll_until(server: &mut Server, count: usize) -> Vec<(ClientId, Request)> {
+    fn poll_until(server: &mut Server, count: usize) -> Vec<(ClientId, ControlRequest)> {
         let start = Instant::now();
         let mut found = Vec::new();
         while found.len() < count && start.elapsed() < Duration::from_secs(20) {
@@ -187,28 +175,28 @@ mod tests {
 
     #[test]
     fn only_the_owner_can_use_it_and_requests_are_answered() {
-        let folder = Folder::new("ask");
-        let mut server = Server::open(&folder.0).unwrap();
-        let mode = std::fs::metadata(socket_path(&folder.0)).unwrap().permissions().mode();
+        let folder = TempDir::new().unwrap();
+        let mut server = Server::open(folder.path()).unwrap();
+        let mode = std::fs::metadata(socket_path(folder.path())).unwrap().permissions().mode();
         assert_eq!(mode & 0o777, 0o600);
-        let mut client = UnixStream::connect(socket_path(&folder.0)).unwrap();
+        let mut client = UnixStream::connect(socket_path(folder.path())).unwrap();
         client.write_all(b"{\"command\":\"sta").unwrap();
         assert!(server.poll().is_empty());
         client.write_all(b"tus\"}\n").unwrap();
         let found = poll_until(&mut server, 1);
-        assert_eq!(found[0].1, Request::Status);
+        assert_eq!(found[0].1, ControlRequest::Status);
         server.reply(found[0].0, &Reply::done("all is well"));
         assert!(line(&client).contains("all is well"));
     }
 
     #[test]
     fn garbage_is_answered_and_dropped_and_holds_nobody_up() {
-        let folder = Folder::new("garbage");
-        let mut server = Server::open(&folder.0).unwrap();
-        let silent = UnixStream::connect(socket_path(&folder.0)).unwrap();
-        let mut babbler = UnixStream::connect(socket_path(&folder.0)).unwrap();
+        let folder = TempDir::new().unwrap();
+        let mut server = Server::open(folder.path()).unwrap();
+        let silent = UnixStream::connect(socket_path(folder.path())).unwrap();
+        let mut babbler = UnixStream::connect(socket_path(folder.path())).unwrap();
         babbler.write_all(b"GET / HTTP/1.1\r\n\r\n").unwrap();
-        let mut client = UnixStream::connect(socket_path(&folder.0)).unwrap();
+        let mut client = UnixStream::connect(socket_path(folder.path())).unwrap();
         client.write_all(b"{\"command\":\"status\"}\n").unwrap();
         assert_eq!(poll_until(&mut server, 1).len(), 1);
         assert!(line(&babbler).contains("not a request"));

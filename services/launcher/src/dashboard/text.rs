@@ -1,5 +1,6 @@
 //! The dashboard as text: a live table, a line, and a summary at the end.
 
+use std::collections::VecDeque;
 use std::fmt::Write;
 
 use flockeye_cli::text_table::TextTable;
@@ -8,9 +9,9 @@ use flockeye_geometry::statistics::{median, quantile};
 use nalgebra::Vector3;
 
 use super::{Dashboard, age_ms, deviation_m, track_state_name};
+use crate::control::worker_label;
 
 impl Dashboard {
-    /// The live table.
     pub(crate) fn table(&self, now_ns: i64) -> String {
         let titles = [
             "stage", "state", "in/s", "out/s", "ms", "99% ms", "queued", "dropped", "failed",
@@ -20,11 +21,10 @@ impl Dashboard {
             .with_words_in(11)
             .at_least(&[16, 10, 7, 7, 8, 8, 6, 7, 7, 6, 7, 4]);
         for ((stage, replica), view) in &self.stages {
-            let label = if *replica == 0 { stage.clone() } else { format!("{stage}.{replica}") };
             let latency = view.latency_ms.map(|ms| ms.map(|ms| format!("{ms:.1}")));
             let [median, p99] = latency.unwrap_or_else(|| ["-", "-"].map(str::to_owned));
             stages.row([
-                label,
+                worker_label(stage, *replica),
                 view.state(now_ns).to_owned(),
                 format!("{:.1}", view.taken_per_s),
                 format!("{:.1}", view.published_per_s),
@@ -108,7 +108,6 @@ impl Dashboard {
         text
     }
 
-    /// The summary of the whole run.
     pub(crate) fn summary(&self) -> String {
         let count = |name: &str, of: fn(&Health) -> u64| -> u64 {
             self.stages
@@ -138,7 +137,7 @@ impl Dashboard {
                     100.0 * neighbour.eligible_measured as f64 / neighbour.eligible as f64
                 );
             }
-            let errors_mm = neighbour.errors_mm.rising();
+            let errors_mm = rising(&neighbour.errors_mm);
             if let (Some(median), Some(p95), Some(worst)) =
                 (median(&errors_mm), quantile(&errors_mm, 0.95), errors_mm.last())
             {
@@ -147,7 +146,7 @@ impl Dashboard {
                     "; error median {median:.1} mm, 95 % {p95:.1} mm, worst {worst:.1} mm"
                 );
             }
-            let latencies_ms = neighbour.latencies_ms.rising();
+            let latencies_ms = rising(&neighbour.latencies_ms);
             if let (Some(median), Some(p99)) =
                 (median(&latencies_ms), quantile(&latencies_ms, 0.99))
             {
@@ -156,4 +155,11 @@ impl Dashboard {
         }
         text
     }
+}
+
+/// The values in rising order.
+fn rising(samples: &VecDeque<f64>) -> Vec<f64> {
+    let mut rising: Vec<_> = samples.iter().copied().collect();
+    rising.sort_by(f64::total_cmp);
+    rising
 }

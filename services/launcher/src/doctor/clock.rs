@@ -18,7 +18,6 @@ const SYNCHRONISERS: [(&str, &str); 5] = [
     ("phc2sys", "linuxptp"),
 ];
 
-/// Looks at it.
 pub(crate) fn examine(machine: &Machine) -> Vec<Finding> {
     let (_, is_synchronised) = utc_from_monotonic(monotonic_ns());
     vec![finding(is_synchronised, &synchronisers(machine))]

@@ -11,7 +11,6 @@ pub(crate) struct Machine {
 }
 
 impl Machine {
-    /// This machine.
     pub(crate) fn this() -> Self {
         Self { root: PathBuf::from("/") }
     }
@@ -22,7 +21,6 @@ impl Machine {
         Self { root: root.to_owned() }
     }
 
-    /// A path of it.
     pub(crate) fn path(&self, path: &str) -> PathBuf {
         self.root.join(path.trim_start_matches('/'))
     }

@@ -10,7 +10,6 @@ const FEWEST_PROCESSORS: usize = 2;
 /// Processors throttle themselves not far above it, degrees Celsius.
 const HOT_C: f64 = 85.0;
 
-/// Looks at them.
 pub(crate) fn examine(machine: &Machine) -> Vec<Finding> {
     let mut findings = vec![features(), processors()];
     findings.push(governor(machine));

@@ -1,6 +1,6 @@
 //! Shared memory, what limits it, and who would remove it.
 
-use flockeye_config::{Resolved, Scheduling};
+use flockeye_config::Resolved;
 use flockeye_runtime::findings::Finding;
 use flockeye_runtime::instance::Instance;
 use flockeye_runtime::memory::{Budget, shared_memory_space};
@@ -16,7 +16,6 @@ const FEWEST_FILES: u64 = 1024;
 /// Debian numbers regular users from here on.
 const FIRST_REGULAR_USER: u32 = 1000;
 
-/// Looks at it.
 pub(crate) fn examine(machine: &Machine, resolved: &Resolved) -> Vec<Finding> {
     let mut findings = vec![shared_memory(&Budget::of(resolved))];
     findings.extend(removed_at_logout(machine, getuid().as_raw()));
@@ -104,8 +103,7 @@ fn priorities(resolved: &Resolved) -> Vec<Finding> {
     let mut findings = Vec::new();
     for (stage, process) in resolved.pipeline.stages.iter() {
         let name = stage.name();
-        let is_real_time = matches!(process.scheduling, Scheduling::Fifo | Scheduling::RoundRobin);
-        if is_real_time && !is_root && highest < u64::from(process.priority) {
+        if process.scheduling.is_real_time() && !is_root && highest < u64::from(process.priority) {
             findings.push(Finding::warning(
                 "limits",
                 format!(

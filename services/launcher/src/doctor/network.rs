@@ -16,7 +16,6 @@ const KEYS: &str = "keys";
 const SOON_DAYS: i64 = 7;
 const DAY_S: i64 = 86_400;
 
-/// Looks at them.
 pub(crate) fn examine(machine: &Machine, pipeline: &Pipeline) -> Vec<Finding> {
     let gateway = &pipeline.gateway;
     if !gateway.enabled {

@@ -20,10 +20,8 @@ const SILENCE: Duration = Duration::from_secs(3);
 const OPEN_METRICS: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
 const PLAIN: &str = "text/plain; charset=utf-8";
 
-/// What is answered.
 #[derive(Debug, Clone)]
-pub(crate) struct Page {
-    /// All metrics.
+pub(crate) struct MetricsPage {
     pub text: String,
     /// When it was written: a launcher that hangs writes none.
     pub written: Instant,
@@ -33,10 +31,7 @@ pub(crate) struct Page {
 
 /// Answers at this address, from a thread of its own that ends with the process. Returns the
 /// address, with its port.
-///
-/// # Errors
-/// It cannot be listened on.
-pub(crate) fn start(listen: SocketAddr, page: Arc<Mutex<Page>>) -> io::Result<SocketAddr> {
+pub(crate) fn start(listen: SocketAddr, page: Arc<Mutex<MetricsPage>>) -> io::Result<SocketAddr> {
     let listener = TcpListener::bind(listen)?;
     let address = listener.local_addr()?;
     std::thread::Builder::new().name("metrics".to_owned()).spawn(move || {
@@ -50,7 +45,7 @@ pub(crate) fn start(listen: SocketAddr, page: Arc<Mutex<Page>>) -> io::Result<So
     Ok(address)
 }
 
-fn serve(mut connection: TcpStream, page: &Mutex<Page>) -> io::Result<()> {
+fn serve(mut connection: TcpStream, page: &Mutex<MetricsPage>) -> io::Result<()> {
     let until = Instant::now() + DEADLINE;
     connection.set_write_timeout(Some(DEADLINE))?;
     let mut head = Vec::new();
@@ -73,7 +68,7 @@ fn serve(mut connection: TcpStream, page: &Mutex<Page>) -> io::Result<()> {
 }
 
 /// The answer to the bytes that have come so far; `None`: more must come.
-fn reply(head: &[u8], page: impl FnOnce() -> Page) -> Option<String> {
+fn reply(head: &[u8], page: impl FnOnce() -> MetricsPage) -> Option<String> {
     let mut headers = [httparse::EMPTY_HEADER; 64];
     let mut request = httparse::Request::new(&mut headers);
     let (method, path) = match request.parse(head) {
@@ -87,7 +82,7 @@ fn reply(head: &[u8], page: impl FnOnce() -> Page) -> Option<String> {
     if method != "GET" {
         return Some(answer("405 Method Not Allowed", PLAIN, "only GET is answered\n"));
     }
-    let Page { text, written, last_frame } = page();
+    let MetricsPage { text, written, last_frame } = page();
     let health = |is_well: bool, word: &str, what: &str| match is_well {
         true => answer("200 OK", PLAIN, &format!("{word}\n")),
         false => answer("503 Service Unavailable", PLAIN, &format!("not {word}: {what}\n")),
@@ -117,7 +112,7 @@ mod tests {
     use super::*;
 
     fn said(request: &str, last_frame: Option<Instant>) -> String {
-        let page = Page { text: "a 1\n".to_owned(), written: Instant::now(), last_frame };
+        let page = MetricsPage { text: "a 1\n".to_owned(), written: Instant::now(), last_frame };
         reply(request.as_bytes(), || page).expect("the request is whole")
     }
 
@@ -138,7 +133,8 @@ mod tests {
 
     #[test]
     fn who_says_nothing_keeps_nobody_waiting_for_long() {
-        let page = Page { text: "a 1\n".to_owned(), written: Instant::now(), last_frame: None };
+        let page =
+            MetricsPage { text: "a 1\n".to_owned(), written: Instant::now(), last_frame: None };
         let address = start("127.0.0.1:0".parse().unwrap(), Arc::new(Mutex::new(page))).unwrap();
         let _silent = TcpStream::connect(address).unwrap();
         let mut asking = TcpStream::connect(address).unwrap();

@@ -25,17 +25,11 @@ pub(super) type Labels = Vec<(&'static str, String)>;
 const TRACK_STATES: [TrackState; 4] =
     [TrackState::Tentative, TrackState::Confirmed, TrackState::Coasting, TrackState::Lost];
 
-/// Whether a value only rises.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Kind {
-    Counter,
-    Gauge,
-}
-
-/// A metric of this name, what it means, and its values with their labels.
+/// A metric of this name, what it means, and its values with their labels: a counter, which only
+/// rises, or a gauge.
 #[derive(Debug, Clone)]
-struct Metric {
-    kind: Kind,
+pub(super) struct Metric {
+    kind: MetricType,
     name: &'static str,
     help: &'static str,
     unit: Option<Unit>,
@@ -43,11 +37,11 @@ struct Metric {
 }
 
 /// A metric of every process: its kind, its name, what it means, its unit and its value.
-type OfStage = (Kind, &'static str, &'static str, Option<Unit>, fn(&HealthRates) -> f64);
+type OfStage = (MetricType, &'static str, &'static str, Option<Unit>, fn(&HealthRates) -> f64);
 
 /// The metrics of a process.
 fn of_stages() -> [OfStage; 8] {
-    use Kind::{Counter, Gauge};
+    use MetricType::{Counter, Gauge};
     let unfinished = "Messages taken in or given out that are not finished";
     let bad = "Messages that were refused or could not be processed";
     [
@@ -76,151 +70,130 @@ fn of_stages() -> [OfStage; 8] {
     ]
 }
 
-/// What there was at one moment.
+/// The values of a dashboard and of this machine now.
+pub(super) fn metrics_of(dashboard: &Dashboard, now_ns: i64) -> Vec<Metric> {
+    let mut metrics = Vec::from(of_frames(dashboard));
+    add_stages(&mut metrics, dashboard, now_ns);
+    add_tracks(&mut metrics, dashboard, now_ns);
+    add_machine(&mut metrics);
+    metrics
+}
+
+fn of_frames(dashboard: &Dashboard) -> [Metric; 2] {
+    let skipped = "Frames that the source sent and that were not worked on";
+    let frames = [
+        ("frames", "Frames that have passed through all stages", dashboard.frames_ended),
+        ("frames_skipped", skipped, dashboard.frames_skipped),
+    ];
+    frames.map(|(name, help, value)| Metric {
+        kind: MetricType::Counter,
+        name,
+        help,
+        unit: None,
+        values: vec![(Vec::new(), value as f64)],
+    })
+}
+
+fn gauge(
+    name: &'static str,
+    help: &'static str,
+    unit: Option<Unit>,
+    values: impl Iterator<Item = (Labels, f64)>,
+) -> Metric {
+    Metric { kind: MetricType::Gauge, name, help, unit, values: values.collect() }
+}
+
+fn add_stages(metrics: &mut Vec<Metric>, dashboard: &Dashboard, now_ns: i64) {
+    let stages: Vec<(Labels, &HealthRates)> = dashboard
+        .workers()
+        .map(|(stage, worker, rates)| {
+            (vec![("stage", stage.to_owned()), ("worker", worker.to_string())], rates)
+        })
+        .collect();
+    for (kind, name, help, unit, value) in of_stages() {
+        let values = stages.iter().map(|(labels, rates)| (labels.clone(), value(rates)));
+        metrics.push(Metric { kind, name, help, unit, values: values.collect() });
+    }
+    let ready = stages.iter().map(|(labels, rates)| {
+        (labels.clone(), f64::from(u8::from(rates.state(now_ns) == "ready")))
+    });
+    metrics.push(gauge(
+        "stage_ready",
+        "1 if the process is ready and reports, else 0",
+        None,
+        ready,
+    ));
+    let latencies = stages.iter().flat_map(|(labels, rates)| {
+        let quantiles = rates.latency_ms.into_iter();
+        let quantiles = quantiles.flat_map(|[median, p99]| [("0.5", median), ("0.99", p99)]);
+        quantiles.map(|(quantile, ms)| {
+            ([&labels[..], &[("quantile", quantile.to_owned())]].concat(), ms * 1e-3)
+        })
+    });
+    metrics.push(gauge(
+        "stage_latency",
+        "Latency of a process's work in its last report: median and 99 % quantile",
+        Some(Unit::Seconds),
+        latencies,
+    ));
+}
+
+fn add_tracks(metrics: &mut Vec<Metric>, dashboard: &Dashboard, now_ns: i64) {
+    let report = dashboard.report(now_ns);
+    let of = |name: &str| vec![("target", name.to_owned())];
+    let states = report.neighbours.iter().flat_map(|neighbour| {
+        TRACK_STATES.map(|state| {
+            let is_it = f64::from(u8::from(neighbour.state == state.name()));
+            let state = vec![("state", state.name().to_owned())];
+            ([of(&neighbour.name), state].concat(), is_it)
+        })
+    });
+    metrics.push(gauge("track_state", "1 for the state of a neighbour's track", None, states));
+    let metres = || Some(Unit::Other("meters".to_owned()));
+    let distance_m = |neighbour: &NeighbourReport| {
+        neighbour.position_m.iter().map(|x| x * x).sum::<f64>().sqrt()
+    };
+    let each = |value: fn(&NeighbourReport) -> f64| {
+        report.neighbours.iter().map(move |n| (vec![("target", n.name.clone())], value(n)))
+    };
+    metrics.push(gauge("track_distance", "Distance of a neighbour", metres(), each(distance_m)));
+    metrics.push(gauge(
+        "track_deviation",
+        "Standard deviation of a neighbour's position",
+        metres(),
+        each(|neighbour| neighbour.deviation_m),
+    ));
+    metrics.push(gauge(
+        "track_age",
+        "Age of the exposure that a neighbour was last measured in",
+        Some(Unit::Seconds),
+        each(|neighbour| neighbour.age_ms * 1e-3),
+    ));
+}
+
+fn add_machine(metrics: &mut Vec<Metric>) {
+    let machine = Machine::this();
+    let celsius = Some(Unit::Celsius);
+    let zones = temperatures_c(&machine).into_iter().map(|(zone, c)| (vec![("zone", zone)], c));
+    metrics.push(gauge("temperature", "Temperature of a part of this machine", celsius, zones));
+    let hertz = Some(Unit::Other("hertz".to_owned()));
+    let clocks = frequencies_hz(&machine).into_iter().map(|(cpu, hz)| (vec![("cpu", cpu)], hz));
+    metrics.push(gauge("processor_frequency", "Clock of a processor", hertz, clocks));
+}
+
+/// The latest metrics, for the registry.
 #[derive(Debug, Clone, Default)]
-pub(crate) struct Snapshot {
-    frames: u64,
-    metrics: Vec<Metric>,
-}
+pub(super) struct LatestMetrics(pub Arc<Mutex<Vec<Metric>>>);
 
-impl Snapshot {
-    /// The values of a dashboard and of this machine now.
-    pub(crate) fn of(dashboard: &Dashboard, now_ns: i64) -> Self {
-        let mut snapshot = Self { frames: dashboard.frames_ended(), ..Self::default() };
-        snapshot.add_frames(dashboard);
-        snapshot.add_stages(dashboard, now_ns);
-        snapshot.add_tracks(dashboard, now_ns);
-        snapshot.add_machine();
-        snapshot
-    }
-
-    fn add_frames(&mut self, dashboard: &Dashboard) {
-        let skipped = "Frames that the source sent and that were not worked on";
-        let frames = [
-            ("frames", "Frames that have passed through all stages", dashboard.frames_ended()),
-            ("frames_skipped", skipped, dashboard.frames_skipped()),
-        ];
-        self.metrics.extend(frames.map(|(name, help, value)| Metric {
-            kind: Kind::Counter,
-            name,
-            help,
-            unit: None,
-            values: vec![(Vec::new(), value as f64)],
-        }));
-    }
-
-    fn gauge(
-        &mut self,
-        name: &'static str,
-        help: &'static str,
-        unit: Option<Unit>,
-        values: impl Iterator<Item = (Labels, f64)>,
-    ) {
-        let values = values.collect();
-        self.metrics.push(Metric { kind: Kind::Gauge, name, help, unit, values });
-    }
-
-    fn add_stages(&mut self, dashboard: &Dashboard, now_ns: i64) {
-        let stages: Vec<(Labels, &HealthRates)> = dashboard
-            .workers()
-            .map(|(stage, worker, rates)| {
-                (vec![("stage", stage.to_owned()), ("worker", worker.to_string())], rates)
-            })
-            .collect();
-        for (kind, name, help, unit, value) in of_stages() {
-            let values = stages.iter().map(|(labels, rates)| (labels.clone(), value(rates)));
-            self.metrics.push(Metric { kind, name, help, unit, values: values.collect() });
-        }
-        let ready = stages.iter().map(|(labels, rates)| {
-            (labels.clone(), f64::from(u8::from(rates.state(now_ns) == "ready")))
-        });
-        self.gauge("stage_ready", "1 if the process is ready and reports, else 0", None, ready);
-        let latencies = stages.iter().flat_map(|(labels, rates)| {
-            let quantiles = rates.latency_ms.into_iter();
-            let quantiles = quantiles.flat_map(|[median, p99]| [("0.5", median), ("0.99", p99)]);
-            quantiles.map(|(quantile, ms)| {
-                ([&labels[..], &[("quantile", quantile.to_owned())]].concat(), ms * 1e-3)
-            })
-        });
-        self.gauge(
-            "stage_latency",
-            "Latency of a process's work in its last report: median and 99 % quantile",
-            Some(Unit::Seconds),
-            latencies,
-        );
-    }
-
-    fn add_tracks(&mut self, dashboard: &Dashboard, now_ns: i64) {
-        let report = dashboard.report(now_ns);
-        let of = |name: &str| vec![("target", name.to_owned())];
-        let states = report.neighbours.iter().flat_map(|neighbour| {
-            TRACK_STATES.map(|state| {
-                let is_it = f64::from(u8::from(neighbour.state == state.name()));
-                let state = vec![("state", state.name().to_owned())];
-                ([of(&neighbour.name), state].concat(), is_it)
-            })
-        });
-        self.gauge("track_state", "1 for the state of a neighbour's track", None, states);
-        let metres = || Some(Unit::Other("meters".to_owned()));
-        let distance_m = |neighbour: &NeighbourReport| {
-            neighbour.position_m.iter().map(|x| x * x).sum::<f64>().sqrt()
-        };
-        let each = |value: fn(&NeighbourReport) -> f64| {
-            report.neighbours.iter().map(move |n| (vec![("target", n.name.clone())], value(n)))
-        };
-        self.gauge("track_distance", "Distance of a neighbour", metres(), each(distance_m));
-        self.gauge(
-            "track_deviation",
-            "Standard deviation of a neighbour's position",
-            metres(),
-            each(|neighbour| neighbour.deviation_m),
-        );
-        self.gauge(
-            "track_age",
-            "Age of the exposure that a neighbour was last measured in",
-            Some(Unit::Seconds),
-            each(|neighbour| neighbour.age_ms * 1e-3),
-        );
-    }
-
-    fn add_machine(&mut self) {
-        let machine = Machine::this();
-        let celsius = Some(Unit::Celsius);
-        let zones = temperatures_c(&machine).into_iter().map(|(zone, c)| (vec![("zone", zone)], c));
-        self.gauge("temperature", "Temperature of a part of this machine", celsius, zones);
-        let hertz = Some(Unit::Other("hertz".to_owned()));
-        let clocks = frequencies_hz(&machine).into_iter().map(|(cpu, hz)| (vec![("cpu", cpu)], hz));
-        self.gauge("processor_frequency", "Clock of a processor", hertz, clocks);
-    }
-}
-
-/// The latest snapshot, for the registry.
-#[derive(Debug, Clone, Default)]
-pub(crate) struct Latest(Arc<Mutex<Snapshot>>);
-
-impl Latest {
-    /// Takes the next one. True: frames have ended since the one before.
-    pub(crate) fn replace(&self, snapshot: Snapshot) -> bool {
-        let mut latest = lock(&self.0);
-        let has_gone_on = snapshot.frames > latest.frames;
-        *latest = snapshot;
-        has_gone_on
-    }
-}
-
-impl Collector for Latest {
+impl Collector for LatestMetrics {
     fn encode(&self, mut encoder: DescriptorEncoder<'_>) -> Result<(), fmt::Error> {
-        for Metric { kind, name, help, unit, values } in &lock(&self.0).metrics {
-            let kind_of_type = match kind {
-                Kind::Counter => MetricType::Counter,
-                Kind::Gauge => MetricType::Gauge,
-            };
-            let mut metric = encoder.encode_descriptor(name, help, unit.as_ref(), kind_of_type)?;
+        for Metric { kind, name, help, unit, values } in &*lock(&self.0) {
+            let mut metric = encoder.encode_descriptor(name, help, unit.as_ref(), *kind)?;
             for (labels, value) in values {
                 let value_encoder = metric.encode_family(labels)?;
                 match kind {
-                    Kind::Counter => ConstCounter::new(*value).encode(value_encoder)?,
-                    Kind::Gauge => ConstGauge::new(*value).encode(value_encoder)?,
+                    MetricType::Counter => ConstCounter::new(*value).encode(value_encoder)?,
+                    _ => ConstGauge::new(*value).encode(value_encoder)?,
                 }
             }
         }

@@ -1,6 +1,6 @@
 //! A swarm as a map of characters, seen from above.
 
-use flockeye_peer::Place;
+use flockeye_peer::DronePlace;
 
 /// Characters in a row, and rows. A character is about twice as high as wide.
 const COLUMNS: usize = 61;
@@ -9,8 +9,8 @@ const ROWS: usize = 21;
 const LEAST_M: f64 = 1.0;
 
 /// The drones from above: forward is up, left is left. `own` is the middle.
-pub(crate) fn map(own: &str, places: &[Place]) -> String {
-    let flat = |place: &Place| {
+pub(crate) fn map(own: &str, places: &[DronePlace]) -> String {
+    let flat = |place: &DronePlace| {
         let position = place.own_from_drone.a_from_b.translation.vector;
         (position.x, position.y)
     };
@@ -56,9 +56,9 @@ mod tests {
 
     use super::*;
 
-    fn place(name: &str, x: f64, y: f64) -> Place {
+    fn place(name: &str, x: f64, y: f64) -> DronePlace {
         let a_from_b = Isometry3::translation(x, y, 0.0);
-        Place {
+        DronePlace {
             name: name.into(),
             own_from_drone: UncertainPose { a_from_b, covariance: Matrix6::identity() },
             way: SwarmWay::Direct,

@@ -9,13 +9,11 @@ use flockeye_runtime::stage::CANNOT_START;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::process::{Pid, PidfdFlags, pidfd_open};
 
-/// A process that runs.
 pub(crate) enum RunningProcess {
     /// This launcher started it.
     Own(Child),
     /// Another one did, so only the end can be seen and not its status.
     Adopted {
-        /// Its number.
         pid: u32,
         /// Tells when it has ended, even if the number was given to another one since.
         pidfd: OwnedFd,
@@ -33,9 +31,6 @@ pub(crate) struct End {
 
 impl RunningProcess {
     /// A living process that somebody else started.
-    ///
-    /// # Errors
-    /// It has ended.
     pub(crate) fn adopt(pid: u32) -> io::Result<Self> {
         let number = Pid::from_raw(pid.cast_signed()).ok_or_else(|| {
             io::Error::new(io::ErrorKind::InvalidInput, "no process has number 0")
@@ -43,7 +38,6 @@ impl RunningProcess {
         Ok(Self::Adopted { pid, pidfd: pidfd_open(number, PidfdFlags::empty())? })
     }
 
-    /// Its number.
     pub(crate) fn pid(&self) -> u32 {
         match self {
             Self::Own(child) => child.id(),
@@ -52,9 +46,6 @@ impl RunningProcess {
     }
 
     /// How it has ended; `None` while it runs.
-    ///
-    /// # Errors
-    /// The system gives no status.
     pub(crate) fn end(&mut self) -> io::Result<Option<End>> {
         match self {
             Self::Own(child) => Ok(child.try_wait()?.map(End::of)),

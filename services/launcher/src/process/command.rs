@@ -6,22 +6,21 @@ use std::process::{Command, Stdio};
 use std::time::Duration;
 
 use anyhow::Context;
-use flockeye_config::{Scheduling, StageInfo, StageProcess};
+use flockeye_config::{Scheduling, StageProcess, usual_nice};
 use flockeye_contract::StageName;
 use flockeye_runtime::backoff::Backoff;
 use flockeye_runtime::instance::{
     FOLDER_VARIABLE, GENERATION_VARIABLE, REPLICA_VARIABLE, STAGE_VARIABLE,
 };
-use flockeye_runtime::scheduling::SchedulingPolicy;
+use flockeye_runtime::scheduling;
 
-use crate::control::Worker;
+use crate::control::WorkerName;
 
 /// What the processes of one worker have in common.
 #[derive(Debug, Clone)]
 pub(super) struct StartPlan {
     /// Program and arguments.
     pub program: Vec<String>,
-    /// The instance's folder.
     pub folder: PathBuf,
     /// Whether they fly on when the launcher dies.
     pub is_kept: bool,
@@ -30,10 +29,6 @@ pub(super) struct StartPlan {
 }
 
 impl StartPlan {
-    /// As configured.
-    ///
-    /// # Errors
-    /// The program is not there.
     pub(crate) fn of(
         stage: StageName,
         configuration: &StageProcess,
@@ -49,7 +44,7 @@ impl StartPlan {
     }
 
     /// What starts a process of this generation. Where its output goes is the caller's.
-    pub(crate) fn command(&self, worker: Worker, generation: u32) -> Command {
+    pub(crate) fn command(&self, worker: WorkerName, generation: u32) -> Command {
         // Not by its path: an update may have put another file there.
         let mut command = Command::new("/proc/self/exe");
         if std::env::var_os("XDG_RUNTIME_DIR").is_none() {
@@ -95,20 +90,16 @@ pub(super) fn backoff([first_s, longest_s]: [f64; 2]) -> Backoff {
 
 /// The arguments of `exec-stage` for how and on which processors a stage runs.
 fn scheduling_arguments(stage: StageName, configuration: &StageProcess) -> Vec<String> {
-    let usual = StageInfo::of(stage).nice;
-    let mut arguments = vec![format!("--nice={}", configuration.nice.unwrap_or(usual))];
+    let nice = configuration.nice.unwrap_or(usual_nice(stage));
+    let mut arguments = vec![format!("--nice={nice}")];
     if !configuration.cpus.is_empty() {
         let cpus: Vec<String> = configuration.cpus.iter().map(u32::to_string).collect();
         arguments.push(format!("--cpus={}", cpus.join(",")));
     }
-    let policy = match configuration.scheduling {
-        Scheduling::Normal => return arguments,
-        Scheduling::Batch => SchedulingPolicy::Batch,
-        Scheduling::Idle => SchedulingPolicy::Idle,
-        Scheduling::Fifo => SchedulingPolicy::Fifo,
-        Scheduling::RoundRobin => SchedulingPolicy::RoundRobin,
-    };
-    arguments.push(format!("--scheduling={policy}"));
+    if configuration.scheduling == Scheduling::Normal {
+        return arguments;
+    }
+    arguments.push(format!("--scheduling={}", scheduling::name(configuration.scheduling)));
     arguments.push(format!("--priority={}", configuration.priority));
     arguments
 }

@@ -14,7 +14,7 @@ use super::{Condition, EndRequest, Process};
 impl Process {
     /// Goes on where an earlier launcher was: with its program and its count of generations. It is
     /// started at the next opportunity if it was not ended on demand.
-    pub fn recall(&mut self) {
+    pub(crate) fn recall(&mut self) {
         self.condition = Condition::Waiting(Instant::now());
         let Some(memo) = Memo::read(&self.start.folder, self.worker) else { return };
         self.used_generations = memo.used_generations;
@@ -27,7 +27,7 @@ impl Process {
 
     /// Shows what a process of an earlier launcher has written before it ended, and removes what it
     /// left.
-    pub fn bury(&self, kept: &KeptProcess) {
+    pub(crate) fn bury(&self, kept: &KeptProcess) {
         if let Ok(mut output) = KeptOutput::open(&kept.output(&self.start.folder)) {
             output.forward_rest(&self.lines).ok();
         }
@@ -35,7 +35,7 @@ impl Process {
     }
 
     /// Goes on with a living process that an earlier launcher has left.
-    pub fn adopt(&mut self, kept: &KeptProcess) {
+    pub(crate) fn adopt(&mut self, kept: &KeptProcess) {
         self.used_generations = self.used_generations.max(kept.generation);
         // It lived a moment ago. If it has ended since, it is started again.
         let Ok(child) = RunningProcess::adopt(kept.pid) else { return };
@@ -49,7 +49,7 @@ impl Process {
 
     /// Goes on with another living process of this worker, which does not count any more and is to
     /// end.
-    pub fn adopt_retired(&mut self, kept: &KeptProcess) -> Self {
+    pub(crate) fn adopt_retired(&mut self, kept: &KeptProcess) -> Self {
         let mut retired = self.beside(kept.generation, &kept.command, "old");
         retired.adopt(kept);
         retired.ask_to_stop();

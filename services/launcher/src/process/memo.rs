@@ -8,11 +8,11 @@ use flockeye_runtime::kept;
 use flockeye_runtime::whole_file::write_whole;
 use serde::{Deserialize, Serialize};
 
-use crate::control::Worker;
+use crate::control::WorkerName;
 
 /// The memo of one worker, in a file of the instance's folder.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Memo {
+pub(crate) struct Memo {
     /// The highest generation that any of its processes has had.
     pub used_generations: u32,
     /// The generation of the process that counts where no hand-over says otherwise.
@@ -23,7 +23,7 @@ pub struct Memo {
     pub is_stopped: bool,
 }
 
-fn file(folder: &Path, worker: Worker) -> PathBuf {
+fn file(folder: &Path, worker: WorkerName) -> PathBuf {
     kept::folder(folder).join(format!("{worker}.memo"))
 }
 
@@ -32,14 +32,14 @@ impl Memo {
     ///
     /// # Errors
     /// The file cannot be written.
-    pub fn write(&self, folder: &Path, worker: Worker) -> io::Result<()> {
+    pub(crate) fn write(&self, folder: &Path, worker: WorkerName) -> io::Result<()> {
         let file = file(folder, worker);
         std::fs::create_dir_all(kept::folder(folder))?;
         write_whole(&file, &serde_json::to_vec(self)?)
     }
 
     /// What was kept of a worker.
-    pub fn read(folder: &Path, worker: Worker) -> Option<Self> {
+    pub(crate) fn read(folder: &Path, worker: WorkerName) -> Option<Self> {
         serde_json::from_slice(&std::fs::read(file(folder, worker)).ok()?).ok()
     }
 }
@@ -52,7 +52,7 @@ mod tests {
     #[test]
     fn memos_are_read_as_they_were_written() {
         let folder = std::env::temp_dir().join(format!("flock-memo-{}", std::process::id()));
-        let worker: Worker = "detection.1".parse().unwrap();
+        let worker: WorkerName = "detection.1".parse().unwrap();
         let memo = Memo {
             used_generations: 7,
             counting_generation: 5,

@@ -3,6 +3,7 @@
 use std::fs::File;
 use std::io::{self, BufRead, BufReader, Read, Seek, SeekFrom};
 use std::path::Path;
+use std::process::Child;
 use std::sync::mpsc::SyncSender;
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -19,35 +20,39 @@ pub struct LogLine {
 
 /// Where the lines of one process go, and under which name: a swap changes it.
 #[derive(Clone)]
-pub struct LineSink {
+pub(crate) struct LineSink {
     label: Arc<Mutex<String>>,
     log: SyncSender<LogLine>,
 }
 
 impl LineSink {
     /// Passes lines on to `log`.
-    pub fn new(label: String, log: SyncSender<LogLine>) -> Self {
+    pub(crate) fn new(label: String, log: SyncSender<LogLine>) -> Self {
         Self { label: Arc::new(Mutex::new(label)), log }
     }
 
     /// Passes lines of another process on to the same log.
-    pub fn of_another(&self, label: String) -> Self {
+    pub(crate) fn of_another(&self, label: String) -> Self {
         Self::new(label, self.log.clone())
     }
 
-    /// The name.
-    pub fn label(&self) -> String {
+    pub(crate) fn label(&self) -> String {
         // A thread that panicked while it held the lock left the text whole.
         self.label.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    /// Changes the name.
-    pub fn rename(&self, name: String) {
+    pub(crate) fn rename(&self, name: String) {
         *self.label.lock().unwrap_or_else(PoisonError::into_inner) = name;
     }
 
+    /// Passes on what a child writes.
+    pub(crate) fn forward_outputs(&self, child: &mut Child) {
+        child.stdout.take().into_iter().for_each(|output| self.forward(output));
+        child.stderr.take().into_iter().for_each(|output| self.forward(output));
+    }
+
     /// Passes a stream on, from a thread of its own that ends with the stream.
-    pub fn forward(&self, stream: impl Read + Send + 'static) {
+    fn forward(&self, stream: impl Read + Send + 'static) {
         let sink = self.clone();
         std::thread::spawn(move || {
             for line in BufReader::new(stream).split(b'\n') {
@@ -78,9 +83,6 @@ pub(crate) struct KeptOutput {
 impl KeptOutput {
     /// Reads the file from where the launcher before has ended. A line that it had read in part
     /// lacks its beginning.
-    ///
-    /// # Errors
-    /// The file cannot be opened.
     pub(crate) fn open(path: &Path) -> io::Result<Self> {
         let mut file = File::options().read(true).write(true).open(path)?;
         // What was read is a hole. Where the file system has none, lines are shown once more.
@@ -93,9 +95,6 @@ impl KeptOutput {
     }
 
     /// Passes on what was written since, a part of it if that is much. False: nothing was.
-    ///
-    /// # Errors
-    /// The file cannot be read.
     pub(crate) fn forward(&mut self, sink: &LineSink) -> io::Result<bool> {
         let from = self.file.stream_position()?;
         let length = (&self.file).take(MOST_AT_ONCE).read_to_end(&mut self.begun)? as u64;
@@ -117,9 +116,6 @@ impl KeptOutput {
     }
 
     /// Passes on what a process has left that has ended. The end of very long output is left out.
-    ///
-    /// # Errors
-    /// The file cannot be read.
     pub(crate) fn forward_rest(&mut self, sink: &LineSink) -> io::Result<()> {
         for _ in 0..16 {
             if !self.forward(sink)? {

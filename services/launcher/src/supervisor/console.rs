@@ -8,7 +8,7 @@ use flockeye_runtime::clock;
 
 use crate::dashboard::Dashboard;
 use crate::process::LogLine;
-use crate::service_manager::{Progress, ServiceManager};
+use crate::service_manager::ServiceManager;
 
 /// How often a live table is drawn, and a line printed where there is no terminal.
 const TABLE_PERIOD: Duration = Duration::from_millis(200);
@@ -32,7 +32,6 @@ impl<'a> Console<'a> {
         Self { screen, log, started: now, next_show: now, service_manager }
     }
 
-    /// Shows a line of the launcher.
     pub(super) fn line(&mut self, text: &str) {
         self.screen.line(text);
     }
@@ -56,7 +55,7 @@ impl<'a> Console<'a> {
         } else {
             // Under systemd the newest line is the unit's status, and the journal need not keep
             // them all.
-            if self.service_manager.is_none() && dashboard.frames_ended() > 0 {
+            if self.service_manager.is_none() && dashboard.frames_ended > 0 {
                 self.screen.line(&dashboard.line(now_ns));
             }
             self.next_show = Instant::now() + LINE_PERIOD;
@@ -66,8 +65,8 @@ impl<'a> Console<'a> {
     /// Reports to systemd. `is_held_up`: an operator has ended a stage.
     pub(super) fn report_progress(&mut self, dashboard: &Dashboard, is_held_up: bool) {
         let Some(manager) = &mut self.service_manager else { return };
-        let progress = Progress { frames_ended: dashboard.frames_ended(), is_held_up };
-        manager.report(progress, Instant::now(), || dashboard.line(clock::monotonic_ns()));
+        let status = || dashboard.line(clock::monotonic_ns());
+        manager.report(dashboard.frames_ended, is_held_up, Instant::now(), status);
     }
 
     /// Reports to systemd that the run ends.

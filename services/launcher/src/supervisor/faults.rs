@@ -10,8 +10,8 @@ use flockeye_runtime::clock;
 use rustix::process::Signal;
 
 use super::Supervisor;
-use crate::complaints::{MOST_REFUSED, MOST_SILENCES};
-use crate::control::Worker;
+use crate::complaints::{MOST_REFUSED, MOST_SILENCES, rest_before_next};
+use crate::control::WorkerName;
 use crate::heartbeat::ProcessStat;
 use crate::process::{Condition, ProcessChange};
 
@@ -95,8 +95,8 @@ impl Supervisor<'_> {
     }
 
     /// Gives a worker up. The flight goes on with what is left, if something was and is left.
-    fn give_up(&mut self, worker: Worker, why: &str) -> anyhow::Result<()> {
-        if worker.stage.is_source() || self.messages.dashboard.frames_ended() == 0 {
+    fn give_up(&mut self, worker: WorkerName, why: &str) -> anyhow::Result<()> {
+        if worker.stage.is_source() || self.messages.dashboard.frames_ended == 0 {
             bail!("{worker} {why}");
         }
         let left = self.what_is_left_without(worker);
@@ -104,7 +104,7 @@ impl Supervisor<'_> {
         Ok(())
     }
 
-    fn what_is_left_without(&self, worker: Worker) -> String {
+    fn what_is_left_without(&self, worker: WorkerName) -> String {
         let others = self.workers.processes.iter().filter(|process| {
             process.worker.stage == worker.stage
                 && process.worker != worker
@@ -125,7 +125,7 @@ impl Supervisor<'_> {
         };
         let now_ns = clock::monotonic_ns();
         for process in &mut self.workers.processes {
-            let Worker { stage, replica } = process.worker;
+            let WorkerName { stage, replica } = process.worker;
             let patience = match stage {
                 StageName::Capture
                 | StageName::Inertial
@@ -164,7 +164,7 @@ impl Supervisor<'_> {
     fn name_those_that_are_late(&mut self) {
         let start_time = self.start_time();
         for process in &mut self.workers.processes {
-            let Worker { stage, replica } = process.worker;
+            let WorkerName { stage, replica } = process.worker;
             let Some(pid) = process.pid() else { continue };
             if process.is_late || process.age() < start_time {
                 continue;
@@ -199,7 +199,7 @@ impl Supervisor<'_> {
 
     fn act_on(&mut self, complaint: &Complaint) {
         let stage = complaint.stage.to_string_lossy().into_owned();
-        let is_meant = |worker: Worker, pid: Option<u32>| match complaint.pid {
+        let is_meant = |worker: WorkerName, pid: Option<u32>| match complaint.pid {
             0 => worker.stage.name() == stage && worker.replica == complaint.replica,
             meant => pid == Some(meant),
         };
@@ -235,7 +235,7 @@ impl Supervisor<'_> {
             }
             return;
         }
-        let Some(rest) = process.replacements.rest_before_next(Instant::now()) else {
+        let Some(rest) = rest_before_next(&mut process.replaced, Instant::now()) else {
             self.console.line(&format!(
                 "{label} (process {pid}): {detail}, {} times; it is killed and started again",
                 complaint.count

@@ -9,14 +9,13 @@ use flockeye_runtime::kept;
 use flockeye_runtime::ports::{PortError, Ports, Publisher};
 use flockeye_runtime::whole_file::write_whole;
 
-use crate::control::Worker;
+use crate::control::WorkerName;
 use crate::fault_point;
 
 /// Announces hand-overs, and knows the last one.
 pub(super) struct HandOverNotice {
     publisher: Publisher<HandOvers>,
     current: HandOver,
-    /// The instance's folder.
     folder: PathBuf,
     /// Whether a copy is kept, because the stages fly on when this launcher dies.
     is_kept: bool,
@@ -24,9 +23,6 @@ pub(super) struct HandOverNotice {
 
 impl HandOverNotice {
     /// Everybody counts, until something else is announced.
-    ///
-    /// # Errors
-    /// The topic has no room for another writer.
     pub(super) fn open(
         ports: &mut Ports,
         instance: &Instance,
@@ -37,17 +33,11 @@ impl HandOverNotice {
     }
 
     /// Sends the hand-over to readers that have joined since the last call.
-    ///
-    /// # Errors
-    /// The topic cannot be written to.
     pub(super) fn update_connections(&self) -> Result<(), PortError> {
-        Ok(self.publisher.update_connections()?)
+        self.publisher.update_connections()
     }
 
     /// Says whose messages count, here and everywhere.
-    ///
-    /// # Errors
-    /// The topic cannot be written to, or the hand-over is not well-formed.
     pub(super) fn announce(&mut self, ports: &Ports, hand_over: HandOver) -> anyhow::Result<()> {
         let step = match HandOverState::try_from(hand_over.state)? {
             HandOverState::TakenOver if hand_over.new_generation < hand_over.old_generation => {
@@ -88,7 +78,7 @@ pub(super) fn read(folder: &Path) -> HandOver {
 }
 
 /// The generation of a worker that counts, where the hand-over is about that worker.
-pub(super) fn counting_generation(hand_over: &HandOver, worker: Worker) -> Option<u32> {
+pub(super) fn counting_generation(hand_over: &HandOver, worker: WorkerName) -> Option<u32> {
     if !hand_over.is_about(worker.stage, worker.replica) {
         return None;
     }
@@ -100,7 +90,7 @@ pub(super) fn counting_generation(hand_over: &HandOver, worker: Worker) -> Optio
 }
 
 /// Whether the new process of a worker has taken over.
-pub(super) fn has_taken_over(hand_over: &HandOver, worker: Worker) -> bool {
+pub(super) fn has_taken_over(hand_over: &HandOver, worker: WorkerName) -> bool {
     hand_over.is_about(worker.stage, worker.replica)
         && hand_over.state == HandOverState::TakenOver.code()
 }

@@ -19,10 +19,11 @@ use crate::process::{LineSink, LogLine};
 
 /// How long it may take to write what waits, and the index.
 const STOP_TIME: Duration = Duration::from_secs(10);
+/// Another file begins after so much. `flockeye record --split` takes another size.
+const SPLIT: &str = "1000MB";
 /// The first and the longest wait before it is started again.
 const BACKOFF: [Duration; 2] = [Duration::from_millis(100), Duration::from_secs(10)];
 
-/// The recorder's process.
 pub(crate) struct Recorder {
     /// Program and arguments before the file.
     program: Vec<String>,
@@ -39,9 +40,6 @@ pub(crate) struct Recorder {
 
 impl Recorder {
     /// The recorder that is configured, if one is. It does not run yet.
-    ///
-    /// # Errors
-    /// Its program or its folder is not there.
     pub(crate) fn of(
         recording: &Recording,
         instance: &Instance,
@@ -65,9 +63,6 @@ impl Recorder {
     }
 
     /// Starts it with a new file.
-    ///
-    /// # Errors
-    /// The system cannot start a process.
     pub(crate) fn start(&mut self) -> anyhow::Result<()> {
         let file = new_file(&self.folder, self.instance.name());
         // Not by its path: an update may have put another file there.
@@ -83,12 +78,7 @@ impl Recorder {
             .stdout(Stdio::piped())
             .stderr(Stdio::piped());
         let mut child = command.spawn().context("cannot start the recorder")?;
-        if let Some(stdout) = child.stdout.take() {
-            self.lines.forward(stdout);
-        }
-        if let Some(stderr) = child.stderr.take() {
-            self.lines.forward(stderr);
-        }
+        self.lines.forward_outputs(&mut child);
         (self.child, self.retry_at, self.started) = (Some(child), None, Instant::now());
         Ok(())
     }
@@ -162,7 +152,7 @@ fn arguments(recording: &Recording) -> Vec<String> {
         RecordedFrames::Every => format!("every {}", recording.every),
     });
     match recording.trigger {
-        None => arguments.extend(["--split".to_owned(), format!("{}MB", recording.split_mb)]),
+        None => arguments.extend(["--split".to_owned(), SPLIT.to_owned()]),
         Some(trigger) => {
             let trigger = match trigger {
                 RecordingTrigger::Lost => "lost",

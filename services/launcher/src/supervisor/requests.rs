@@ -5,9 +5,9 @@ use flockeye_contract::{StageName, StageState};
 use flockeye_runtime::ports::Ports;
 
 use super::Supervisor;
-use super::waiting_client::{WaitingClient, Wanted, condition_name};
+use super::waiting_client::{WaitingClient, WorkerGoal, condition_name};
 use crate::control::server::ClientId;
-use crate::control::{Reply, Request, Worker};
+use crate::control::{ControlRequest, Reply, WorkerName};
 use crate::process::{Condition, Process};
 use crate::status::{PipelineStatus, WorkerStatus};
 
@@ -22,40 +22,45 @@ impl Supervisor<'_> {
         Ok(())
     }
 
-    fn serve(&mut self, client: ClientId, request: &Request, ports: &Ports) -> anyhow::Result<()> {
+    fn serve(
+        &mut self,
+        client: ClientId,
+        request: &ControlRequest,
+        ports: &Ports,
+    ) -> anyhow::Result<()> {
         match request {
-            Request::Status => {
+            ControlRequest::Status => {
                 let status = self.status();
                 let (text, report) = (status.to_string(), serde_json::to_value(&status)?);
                 self.server.reply(client, &Reply::Done { text, report });
                 return Ok(());
             }
-            Request::Stop { worker: None } => {
+            ControlRequest::Stop { worker: None } => {
                 self.is_asked_to_end = true;
                 self.server.reply(client, &Reply::done("the pipeline ends"));
             }
-            Request::Stop { worker: Some(worker) } => {
+            ControlRequest::Stop { worker: Some(worker) } => {
                 self.free_process(*worker)?.ask_to_stop();
-                self.wait_for(client, *worker, Wanted::Stopped);
+                self.wait_for(client, *worker, WorkerGoal::Stopped);
             }
-            Request::Start { worker } => {
+            ControlRequest::Start { worker } => {
                 let process = self.free_process(*worker)?;
                 ensure!(process.condition() != Condition::Running, "{worker} runs already");
                 process.ask_to_restart();
-                self.wait_for(client, *worker, Wanted::ReadyAfter(None));
+                self.wait_for(client, *worker, WorkerGoal::ReadyAfter(None));
             }
-            Request::Restart { worker } => {
+            ControlRequest::Restart { worker } => {
                 let process = self.free_process(*worker)?;
                 let generation = process.generation;
                 process.ask_to_restart();
-                self.wait_for(client, *worker, Wanted::ReadyAfter(Some(generation)));
+                self.wait_for(client, *worker, WorkerGoal::ReadyAfter(Some(generation)));
             }
-            Request::Swap(request) => self.begin_swap(client, request, ports)?,
+            ControlRequest::Swap(request) => self.begin_swap(client, request, ports)?,
         }
         Ok(())
     }
 
-    fn wait_for(&mut self, client: ClientId, worker: Worker, wanted: Wanted) {
+    fn wait_for(&mut self, client: ClientId, worker: WorkerName, wanted: WorkerGoal) {
         self.waiting_clients.push(WaitingClient::new(client, worker, wanted));
     }
 
@@ -63,8 +68,8 @@ impl Supervisor<'_> {
         for client in std::mem::take(&mut self.waiting_clients) {
             let worker = client.worker;
             let Ok(process) = self.workers.of(worker) else { continue };
-            let is_ready = self.has_reported(worker, process.pid())
-                && (self.is_ready(worker) || worker.stage.is_source());
+            let is_ready = self.messages.has_reported(worker, process.pid())
+                && (self.messages.is_ready(worker) || worker.stage.is_source());
             match client.answer(process, is_ready) {
                 Some(reply) => self.server.reply(client.client, &reply),
                 None => self.waiting_clients.push(client),
@@ -73,7 +78,7 @@ impl Supervisor<'_> {
     }
 
     /// The process of a worker that is not being swapped.
-    fn free_process(&mut self, worker: Worker) -> anyhow::Result<&mut Process> {
+    fn free_process(&mut self, worker: WorkerName) -> anyhow::Result<&mut Process> {
         ensure!(
             self.changeover.worker() != Some(worker),
             "{worker} is being swapped. Cure: wait until that is done"
@@ -89,7 +94,7 @@ impl Supervisor<'_> {
 
     fn status(&self) -> PipelineStatus {
         let workers = self.workers.processes.iter().rev().map(|process| {
-            let Worker { stage, replica } = process.worker;
+            let WorkerName { stage, replica } = process.worker;
             let pid = process.pid();
             let report =
                 pid.and_then(|pid| self.messages.dashboard.last_report(stage.name(), replica, pid));
@@ -116,8 +121,8 @@ impl Supervisor<'_> {
         PipelineStatus {
             instance: self.instance.name().to_owned(),
             launcher_pid: std::process::id(),
-            running_s: self.times.started.elapsed().as_secs_f64(),
-            frames: self.messages.dashboard.frames_ended(),
+            running_s: self.started.elapsed().as_secs_f64(),
+            frames: self.messages.dashboard.frames_ended,
             swapping: self.changeover.worker(),
             workers,
         }

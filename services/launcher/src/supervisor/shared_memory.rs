@@ -3,8 +3,7 @@
 use std::rc::Rc;
 use std::time::Duration;
 
-use anyhow::Context;
-use flockeye_runtime::health::{Counters, SharedCounters};
+use flockeye_runtime::health::SharedCounters;
 use flockeye_runtime::instance::Instance;
 use flockeye_runtime::memory::Budget;
 use flockeye_runtime::ports::{Ports, TopicServices, create_all_services};
@@ -24,31 +23,17 @@ pub(super) struct SharedMemory {
 
 impl SharedMemory {
     /// Creates all topics, or opens those that a launcher has left whose stages fly on.
-    ///
-    /// # Errors
-    /// The system's reason.
     pub(super) fn create(instance: &Instance, budget: Budget) -> anyhow::Result<Self> {
-        let node = NodeBuilder::new()
-            .name(&NodeName::new("launcher").context("node name")?)
-            .signal_handling_mode(SignalHandlingMode::Disabled)
-            .config(&instance.iceoryx2()?)
-            .create::<ipc::Service>()
-            .map_err(|error| anyhow::anyhow!("cannot open shared memory: {error:?}"))?;
-        let node = Rc::new(node);
+        let node = instance.create_node("launcher", "cannot open shared memory")?;
         // An earlier launcher may have been killed while its stages fly on.
         node.blocking_cleanup_dead_nodes(CLEANUP_TIME);
         let services = create_all_services(&node, &budget)?;
         Ok(Self { _services: services, node, budget })
     }
 
-    /// Ports with these counters.
-    pub(super) fn ports(&self, counters: SharedCounters) -> Ports {
-        Ports::new(self.node.clone(), self.budget.clone(), counters)
-    }
-
     /// Ports of the launcher, which counts nothing.
-    pub(super) fn own_ports(&self) -> Ports {
-        self.ports(Rc::new(Counters::default()))
+    pub(super) fn ports(&self) -> Ports {
+        Ports::new(self.node.clone(), self.budget.clone(), SharedCounters::default())
     }
 
     /// Frees the ports of dead processes.

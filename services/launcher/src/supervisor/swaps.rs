@@ -6,7 +6,6 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, bail, ensure};
 use flockeye_config::{Flow, Pipeline, Resolved};
 use flockeye_contract::{HandOver, StageName};
-use flockeye_runtime::health::SharedCounters;
 use flockeye_runtime::memory::{Budget, shared_memory_space};
 use flockeye_runtime::ports::Ports;
 use serde_json::Value;
@@ -14,20 +13,17 @@ use serde_json::Value;
 use super::Supervisor;
 use super::unfinished_swap::{self, UnfinishedSwap};
 use crate::control::server::ClientId;
-use crate::control::{Reply, SwapRequest, Worker};
+use crate::control::{Reply, SwapRequest, WorkerName};
 use crate::fault_point;
 use crate::process::{Condition, ProcessChange};
-use crate::swap::changeover::{Candidate, Changeover, SwapOrder};
-use crate::swap::judge::{Judge, Lives};
-use crate::swap::replacement::{Progress, Replacement};
+use crate::swap::changeover::{Changeover, Successor, SwapOrder};
+use crate::swap::judge::Judge;
+use crate::swap::replacement::{Replacement, ReplacementProgress};
 use crate::swap::shadow::{Shadow, can_shadow};
-use crate::swap::verdict::Verdict;
+use crate::swap::verdict::SwapVerdict;
 
 impl Supervisor<'_> {
-    /// Begins a swap.
-    ///
-    /// # Errors
-    /// Why it cannot be begun; nothing has changed then.
+    /// Begins a swap, or changes nothing and says why it cannot be begun.
     pub(super) fn begin_swap(
         &mut self,
         client: ClientId,
@@ -50,23 +46,27 @@ impl Supervisor<'_> {
         if pipeline_before.is_some() {
             fault_point::pass(self.instance.folder(), "settings are written");
         }
-        let mut order = SwapOrder { client, worker, pipeline_before };
-        if !can_shadow(worker.stage) {
-            let replacement = self.begin_in_turn(client, request)?;
-            self.changeover = Changeover::InTurn(order, replacement);
-            return Ok(());
-        }
-        match self.begin_beside(client, request, ports) {
-            Ok(candidate) => {
-                self.changeover = Changeover::Beside(order, candidate);
-                Ok(())
+        let order = SwapOrder { client, worker, pipeline_before };
+        let refused = if can_shadow(worker.stage) {
+            match self.begin_beside(client, request, ports) {
+                Ok(successor) => {
+                    self.changeover = Changeover::Beside(order, successor);
+                    return Ok(());
+                }
+                Err(error) => error,
             }
-            Err(error) => {
-                self.restore(&mut order)?;
-                unfinished_swap::forget(self.instance.folder());
-                Err(error)
+        } else {
+            match self.begin_in_turn(client, request) {
+                Ok(replacement) => {
+                    self.changeover = Changeover::InTurn(order, replacement);
+                    return Ok(());
+                }
+                Err(error) => error,
             }
-        }
+        };
+        self.restore(order.pipeline_before)?;
+        unfinished_swap::forget(self.instance.folder());
+        Err(refused)
     }
 
     /// Refuses a swap that cannot be done. Returns the configuration if the swap changes it.
@@ -101,7 +101,7 @@ impl Supervisor<'_> {
         client: ClientId,
         request: &SwapRequest,
         ports: &Ports,
-    ) -> anyhow::Result<Candidate> {
+    ) -> anyhow::Result<Successor> {
         let worker = request.worker;
         let needed = self.memory.budget.bytes_of(worker.stage) as u64;
         let (free, _) = shared_memory_space().context("cannot look at /dev/shm")?;
@@ -116,21 +116,20 @@ impl Supervisor<'_> {
         let old_generation = old.generation;
         let mut process = old.successor(&request.program);
         let generations = [old_generation, process.generation];
-        let mut own_ports = self.memory.ports(SharedCounters::default());
-        let shadow = Shadow::open(worker, generations, &mut own_ports)?;
+        let shadow = Shadow::open(worker, &mut self.memory.ports())?;
         let within = Duration::from_secs_f64(request.within_s);
         let judge = Judge::new(worker, generations, Instant::now(), within, request.accept_worse);
         // The announcement comes first, so that readers ignore the new process.
         self.hand_over.announce(ports, judge.begin())?;
-        self.messages.keep_apart(Some((worker, process.generation)));
+        self.messages.beside = Some((worker, process.generation));
         if let Err(error) = process.start() {
-            self.messages.keep_apart(None);
+            self.messages.beside = None;
             return Err(error);
         }
         fault_point::pass(self.instance.folder(), "it is started");
         let pid = process.pid().unwrap_or(0);
         self.report_step(client, &format!("{worker}: process {pid} works in the old one's shadow"));
-        Ok(Candidate { process, shadow, judge })
+        Ok(Successor { process, shadow, judge })
     }
 
     /// Asks the old process to end, so that the new one can have its device.
@@ -140,7 +139,7 @@ impl Supervisor<'_> {
         request: &SwapRequest,
     ) -> anyhow::Result<Replacement> {
         let worker = request.worker;
-        let newest = self.messages.newest().map(|stamp| stamp.order());
+        let newest = self.messages.newest.map(|stamp| stamp.order());
         let process = self.workers.of_mut(worker)?;
         let old_command = match request.program.is_empty() {
             true => process.command().to_vec(),
@@ -198,18 +197,15 @@ impl Supervisor<'_> {
         Ok(std::mem::replace(&mut self.pipeline, resolved.pipeline))
     }
 
-    /// Goes back to the configuration before a swap.
-    fn restore(&mut self, order: &mut SwapOrder) -> anyhow::Result<()> {
-        if let Some(before) = order.pipeline_before.take() {
+    /// Goes back to the configuration before a swap, if the swap has changed it.
+    fn restore(&mut self, before: Option<Pipeline>) -> anyhow::Result<()> {
+        if let Some(before) = before {
             self.change_pipeline(Resolved::of(before)?)?;
         }
         Ok(())
     }
 
     /// Does what is to be done about a swap.
-    ///
-    /// # Errors
-    /// A topic or a file of the instance cannot be used.
     pub(super) fn look_after_swap(&mut self, ports: &Ports) -> anyhow::Result<()> {
         let (client, worker, verdict) = match &mut self.changeover {
             Changeover::Nothing => return Ok(()),
@@ -222,52 +218,43 @@ impl Supervisor<'_> {
                 return Ok(());
             }
             Changeover::InTurn(order, replacement) => {
-                let (client, worker, replacement) =
-                    (order.client, order.worker, replacement.clone());
-                let progress = self.progress_of(worker)?;
-                (client, worker, replacement.judge(&progress, Instant::now()))
+                let process = self.workers.of(order.worker)?;
+                let progress = ReplacementProgress {
+                    generation: process.generation,
+                    runs: process.condition() == Condition::Running,
+                    is_ready: self.messages.has_reported(order.worker, process.pid())
+                        && self.messages.is_ready(order.worker),
+                    newest_frame: self.messages.newest.map(|stamp| stamp.order()),
+                };
+                (order.client, order.worker, replacement.judge(&progress, Instant::now()))
             }
-            Changeover::Beside(order, candidate) => {
-                candidate.shadow.receive()?;
-                let new_ended = match candidate.process.attend(false, || {})? {
+            Changeover::Beside(order, Successor { process, shadow, judge }) => {
+                shadow.receive(judge)?;
+                let new_ended = match process.attend(false, || {})? {
                     ProcessChange::Ended { how, .. } => Some(how),
-                    _ => (candidate.process.condition() != Condition::Running)
-                        .then(|| "ended".to_owned()),
+                    _ => (process.condition() != Condition::Running).then(|| "ended".to_owned()),
                 };
                 let old = self.workers.of(order.worker)?;
-                let old_runs = old.condition() == Condition::Running
-                    && candidate.judge.is_of_generation(old.generation);
-                let lives = Lives { new_ended: new_ended.as_deref(), old_runs };
-                let comparison = &candidate.shadow.comparison;
-                let verdict = candidate.judge.judge(comparison, lives, Instant::now());
+                let old_runs =
+                    old.condition() == Condition::Running && old.generation == judge.old_generation;
+                let verdict = judge.judge(new_ended.as_deref(), old_runs, Instant::now());
                 (order.client, order.worker, verdict)
             }
         };
         match verdict {
-            Verdict::Wait => Ok(()),
-            Verdict::TakeOver(hand_over, text) => {
+            SwapVerdict::Wait => Ok(()),
+            SwapVerdict::TakeOver(hand_over, text) => {
                 self.report_step(client, &format!("{worker}: {text}"));
                 self.hand_over.announce(ports, hand_over)
             }
-            Verdict::TakeBack(hand_over, reason) => {
+            SwapVerdict::TakeBack(hand_over, reason) => {
                 let text = format!("{worker}: the old process counts again: {reason}");
                 self.report_step(client, &text);
                 self.hand_over.announce(ports, hand_over)
             }
-            Verdict::Done(text, report) => self.complete_swap(text, report),
-            Verdict::Refused(reason) => self.refuse_swap(&reason),
+            SwapVerdict::Done(text, report) => self.complete_swap(text, report),
+            SwapVerdict::Refused(reason) => self.refuse_swap(&reason),
         }
-    }
-
-    /// How far a worker is whose process is replaced.
-    fn progress_of(&self, worker: Worker) -> anyhow::Result<Progress> {
-        let process = self.workers.of(worker)?;
-        Ok(Progress {
-            generation: process.generation,
-            runs: process.condition() == Condition::Running,
-            is_ready: self.has_reported(worker, process.pid()) && self.is_ready(worker),
-            newest_frame: self.messages.newest().map(|stamp| stamp.order()),
-        })
     }
 
     /// The new process stays.
@@ -275,17 +262,17 @@ impl Supervisor<'_> {
         self.console.line(&text);
         let done = Reply::Done { text, report };
         match std::mem::take(&mut self.changeover) {
-            Changeover::Beside(order, candidate) => {
+            Changeover::Beside(order, successor) => {
                 self.server.reply(order.client, &done);
                 let folder = self.instance.folder();
                 unfinished_swap::forget(folder);
                 let process = self.workers.of_mut(order.worker)?;
-                let mut old = candidate.process.takes_the_place_of(process);
+                let mut old = successor.process.takes_the_place_of(process);
                 fault_point::pass(folder, "it is swapped");
                 old.ask_to_stop();
                 fault_point::pass(folder, "the old one is asked to end");
                 self.workers.retired.push(old);
-                self.messages.keep_apart(None);
+                self.messages.beside = None;
             }
             Changeover::InTurn(order, _) => {
                 fault_point::pass(self.instance.folder(), "it is replaced");
@@ -300,47 +287,45 @@ impl Supervisor<'_> {
     /// The old process stays, or its program is started again.
     fn refuse_swap(&mut self, reason: &str) -> anyhow::Result<()> {
         match std::mem::take(&mut self.changeover) {
-            Changeover::Beside(mut order, candidate) => {
+            Changeover::Beside(order, successor) => {
                 // The last lines of the new process say why, and may not have arrived yet.
                 std::thread::sleep(Duration::from_millis(50));
                 self.console.show_log();
-                self.report_refusal(&order, reason);
+                self.report_refusal(order.client, order.worker, reason);
                 let folder = self.instance.folder();
-                let mut process = candidate.process;
+                let mut process = successor.process;
                 fault_point::pass(folder, "it is refused");
                 process.ask_to_stop();
                 fault_point::pass(folder, "the new one is asked to end");
                 self.workers.retired.push(process);
-                self.messages.keep_apart(None);
-                self.restore(&mut order)?;
+                self.messages.beside = None;
+                self.restore(order.pipeline_before)?;
                 unfinished_swap::forget(self.instance.folder());
             }
-            Changeover::InTurn(mut order, replacement) => {
-                self.restore(&mut order)?;
+            Changeover::InTurn(order, replacement) => {
+                self.restore(order.pipeline_before)?;
                 let process = self.workers.of_mut(order.worker)?;
                 process.set_command(replacement.old_command);
                 self.changeover = Changeover::PuttingBack(order.worker, process.generation);
                 process.ask_to_restart();
                 fault_point::pass(self.instance.folder(), "the old program is asked for");
-                self.report_refusal(&order, reason);
+                self.report_refusal(order.client, order.worker, reason);
             }
             Changeover::Nothing | Changeover::PuttingBack(..) => {}
         }
         Ok(())
     }
 
-    fn report_refusal(&mut self, order: &SwapOrder, reason: &str) {
-        let text = format!("{} is not swapped: {reason}", order.worker);
+    fn report_refusal(&mut self, client: ClientId, worker: WorkerName, reason: &str) {
+        let text = format!("{worker} is not swapped: {reason}");
         self.console.line(&text);
-        self.server.reply(order.client, &Reply::Failed(text));
+        self.server.reply(client, &Reply::Failed(text));
     }
 
     /// Ends a hand-over: once no other process of the worker is left, everybody counts.
-    ///
-    /// # Errors
-    /// The topic cannot be written to.
     pub(super) fn end_hand_over(&mut self, ports: &Ports) -> anyhow::Result<()> {
-        let is_over = !self.changeover.is_beside() && self.workers.retired.is_empty();
+        let is_over =
+            !matches!(self.changeover, Changeover::Beside(..)) && self.workers.retired.is_empty();
         match is_over && self.hand_over.is_under_way() {
             true => self.hand_over.announce(ports, HandOver::default()),
             false => Ok(()),

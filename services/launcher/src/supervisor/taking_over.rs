@@ -13,9 +13,6 @@ use super::hand_over::{self, counting_generation, has_taken_over};
 impl Supervisor<'_> {
     /// Goes on with these processes. Where a worker has two, the one that counts by the last
     /// hand-over stays, and the other one is ended.
-    ///
-    /// # Errors
-    /// The hand-over cannot be passed on.
     pub(crate) fn adopt(&mut self, kept: &[KeptProcess]) -> anyhow::Result<()> {
         if kept.is_empty() {
             return Ok(());
@@ -45,7 +42,7 @@ impl Supervisor<'_> {
             self.workers.retired.extend(others.map(|kept| process.adopt_retired(kept)));
         }
         // The source too is started by itself, if it has ended meanwhile.
-        self.times.source_started = Some(self.times.started);
+        self.source_started = Some(self.started);
         self.console.line(&format!("takes over {}", taken.join(", ")));
         match &self.ports {
             // Processes that start from now on get it from this launcher. It is over when the

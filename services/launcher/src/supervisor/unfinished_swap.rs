@@ -14,19 +14,15 @@ use rustix::process::{Pid, Signal, kill_process_group};
 use serde::{Deserialize, Serialize};
 
 use super::hand_over::{self, counting_generation, has_taken_over};
-use crate::control::Worker;
+use crate::control::WorkerName;
+use crate::process::KILL_TIME;
 use crate::process::memo::Memo;
 use crate::swap::shadow::can_shadow;
-
-/// The system ends a killed process within this time.
-const KILL_TIME: Duration = Duration::from_secs(5);
 
 /// A swap that is not over.
 #[derive(Debug, Serialize, Deserialize)]
 pub(super) struct UnfinishedSwap {
-    /// Which worker is swapped.
-    pub worker: Worker,
-    /// The generation that is replaced.
+    pub worker: WorkerName,
     pub old_generation: u32,
     /// The program before it.
     pub old_command: Vec<String>,
@@ -40,9 +36,6 @@ fn file(folder: &Path) -> PathBuf {
 
 impl UnfinishedSwap {
     /// Keeps it until [`forget`].
-    ///
-    /// # Errors
-    /// It cannot be written.
     pub(crate) fn keep(&self, folder: &Path) -> anyhow::Result<()> {
         let file = file(folder);
         write_whole(&file, &serde_json::to_vec(self)?)
@@ -91,9 +84,6 @@ pub(super) fn forget(folder: &Path) {
 
 /// Goes back to what was before a swap that was not over, unless its new process is the one that
 /// stays.
-///
-/// # Errors
-/// The configuration cannot be written, or a process cannot be ended.
 pub(crate) fn undo(instance: &Instance) -> anyhow::Result<()> {
     let folder = instance.folder();
     let swap = std::fs::read(file(folder)).ok();

@@ -3,7 +3,7 @@
 use std::time::{Duration, Instant};
 
 use crate::control::server::ClientId;
-use crate::control::{Reply, Worker};
+use crate::control::{Reply, WorkerName};
 use crate::process::{Condition, Process};
 
 /// A worker that has not come to what was asked for after this long is reported.
@@ -11,18 +11,15 @@ const PATIENCE: Duration = Duration::from_secs(20);
 
 /// A client that waits until a worker is as it was asked to be.
 pub(super) struct WaitingClient {
-    /// The client.
     pub client: ClientId,
-    /// The worker.
-    pub worker: Worker,
-    wanted: Wanted,
+    pub worker: WorkerName,
+    wanted: WorkerGoal,
     since: Instant,
 }
 
 /// How a worker was asked to be.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Wanted {
-    /// Its process has ended.
+pub(super) enum WorkerGoal {
     Stopped,
     /// The worker is ready, in a generation after this one.
     ReadyAfter(Option<u32>),
@@ -30,7 +27,7 @@ pub(super) enum Wanted {
 
 impl WaitingClient {
     /// A client that waits from now on.
-    pub(super) fn new(client: ClientId, worker: Worker, wanted: Wanted) -> Self {
+    pub(super) fn new(client: ClientId, worker: WorkerName, wanted: WorkerGoal) -> Self {
         Self { client, worker, wanted, since: Instant::now() }
     }
 
@@ -40,8 +37,8 @@ impl WaitingClient {
         let Self { worker, wanted, since, .. } = self;
         let (condition, generation) = (process.condition(), process.generation);
         let is_reached = match wanted {
-            Wanted::Stopped => condition == Condition::Stopped,
-            Wanted::ReadyAfter(before) => {
+            WorkerGoal::Stopped => condition == Condition::Stopped,
+            WorkerGoal::ReadyAfter(before) => {
                 before.is_none_or(|before| generation > before) && is_ready
             }
         };
@@ -52,8 +49,8 @@ impl WaitingClient {
                 PATIENCE.as_secs(),
                 condition_name(condition)
             ))),
-            Wanted::Stopped => Some(Reply::done(format!("{worker} has stopped"))),
-            Wanted::ReadyAfter(_) => {
+            WorkerGoal::Stopped => Some(Reply::done(format!("{worker} has stopped"))),
+            WorkerGoal::ReadyAfter(_) => {
                 let pid = process.pid().unwrap_or(0);
                 let text = format!("{worker} runs (process {pid}, generation {generation})");
                 Some(Reply::done(text))

@@ -10,7 +10,7 @@ use flockeye_runtime::instance::Instance;
 use rustix::process::Signal;
 
 use super::console::Console;
-use crate::control::Worker;
+use crate::control::WorkerName;
 use crate::process::{Condition, LogLine, Process, STOP_TIME};
 
 /// The processes of a pipeline's workers.
@@ -24,9 +24,6 @@ pub(super) struct Workers {
 impl Workers {
     /// The workers of `pipeline`, not yet started. Their lines go to `log`. With `is_kept` they fly
     /// on when the launcher dies.
-    ///
-    /// # Errors
-    /// A stage's program is missing.
     pub(super) fn prepare(
         pipeline: &Pipeline,
         instance: &Instance,
@@ -41,16 +38,13 @@ impl Workers {
             .chain([(pipeline.source.stage(), 0)]);
         let processes = workers.map(|(stage, replica)| {
             let configuration = pipeline.stages.of(stage);
-            let worker = Worker { stage, replica };
+            let worker = WorkerName { stage, replica };
             Process::new(worker, configuration, instance.folder(), log.clone(), is_kept)
         });
         Ok(Self { processes: processes.collect::<anyhow::Result<_>>()?, retired: Vec::new() })
     }
 
     /// Starts the consumers that do not run yet.
-    ///
-    /// # Errors
-    /// The system cannot start a process.
     pub(super) fn start_consumers(&mut self) -> anyhow::Result<()> {
         let new = self.processes.iter_mut().filter(|process| {
             !process.worker.stage.is_source() && process.condition() == Condition::New
@@ -59,9 +53,6 @@ impl Workers {
     }
 
     /// Starts the source if it does not run yet.
-    ///
-    /// # Errors
-    /// The system cannot start a process.
     pub(super) fn start_source(&mut self) -> anyhow::Result<()> {
         let is_new = |process: &&mut Process| {
             process.worker.stage.is_source() && process.condition() == Condition::New
@@ -70,10 +61,7 @@ impl Workers {
     }
 
     /// The place of a worker in the list of processes.
-    ///
-    /// # Errors
-    /// The pipeline has no such worker.
-    pub(super) fn index_of(&self, worker: Worker) -> anyhow::Result<usize> {
+    pub(super) fn index_of(&self, worker: WorkerName) -> anyhow::Result<usize> {
         let found = self.processes.iter().position(|process| process.worker == worker);
         found.with_context(|| {
             let names: Vec<String> =
@@ -82,19 +70,11 @@ impl Workers {
         })
     }
 
-    /// A worker's process.
-    ///
-    /// # Errors
-    /// As [`Workers::index_of`].
-    pub(super) fn of(&self, worker: Worker) -> anyhow::Result<&Process> {
+    pub(super) fn of(&self, worker: WorkerName) -> anyhow::Result<&Process> {
         Ok(&self.processes[self.index_of(worker)?])
     }
 
-    /// A worker's process, to be changed.
-    ///
-    /// # Errors
-    /// As [`Workers::index_of`].
-    pub(super) fn of_mut(&mut self, worker: Worker) -> anyhow::Result<&mut Process> {
+    pub(super) fn of_mut(&mut self, worker: WorkerName) -> anyhow::Result<&mut Process> {
         let index = self.index_of(worker)?;
         Ok(&mut self.processes[index])
     }

@@ -5,7 +5,7 @@ use flockeye_config::Pipeline;
 use super::judge::Judge;
 use super::replacement::Replacement;
 use super::shadow::Shadow;
-use crate::control::Worker;
+use crate::control::WorkerName;
 use crate::control::server::ClientId;
 use crate::process::Process;
 
@@ -13,31 +13,27 @@ use crate::process::Process;
 #[derive(Default)]
 #[expect(clippy::large_enum_variant, reason = "a launcher has one")]
 pub(crate) enum Changeover {
-    /// No worker is being swapped.
     #[default]
     Nothing,
     /// The new process works beside the old one.
-    Beside(SwapOrder, Candidate),
+    Beside(SwapOrder, Successor),
     /// The old process ends first, because the stage owns a device or a port.
     InTurn(SwapOrder, Replacement),
     /// The new process of a swap in turn has failed. The old program is to run again, in a
     /// generation after this one.
-    PuttingBack(Worker, u32),
+    PuttingBack(WorkerName, u32),
 }
 
 /// The client that asked for a swap, and what the swap changes.
 pub(crate) struct SwapOrder {
-    /// The client that asked for it.
     pub client: ClientId,
-    /// Which worker is swapped.
-    pub worker: Worker,
+    pub worker: WorkerName,
     /// The configuration before the swap, if the swap changes it.
     pub pipeline_before: Option<Pipeline>,
 }
 
 /// A new process beside the old one.
-pub(crate) struct Candidate {
-    /// The new process.
+pub(crate) struct Successor {
     pub process: Process,
     /// What both processes send.
     pub shadow: Shadow,
@@ -47,7 +43,7 @@ pub(crate) struct Candidate {
 
 impl Changeover {
     /// The worker that is being swapped.
-    pub(crate) fn worker(&self) -> Option<Worker> {
+    pub(crate) fn worker(&self) -> Option<WorkerName> {
         match self {
             Self::Beside(order, _) | Self::InTurn(order, _) => Some(order.worker),
             Self::Nothing | Self::PuttingBack(..) => None,
@@ -55,15 +51,10 @@ impl Changeover {
     }
 
     /// The new process that works beside the old one.
-    pub(crate) fn candidate(&mut self) -> Option<&mut Process> {
+    pub(crate) fn new_process(&mut self) -> Option<&mut Process> {
         match self {
-            Self::Beside(_, candidate) => Some(&mut candidate.process),
+            Self::Beside(_, successor) => Some(&mut successor.process),
             _ => None,
         }
-    }
-
-    /// Whether two processes of a worker run, only one of which counts.
-    pub(crate) fn is_beside(&self) -> bool {
-        matches!(self, Self::Beside(..))
     }
 }

@@ -31,19 +31,9 @@ const FRAMES_BEHIND: usize = 15;
 /// Frames that are kept.
 const MAX_FRAMES: usize = 256;
 
-/// Which of the two processes.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Side {
-    /// The one that is replaced.
-    Old,
-    /// The one that takes its place.
-    New,
-}
-
 /// An answer of one process.
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) struct Answer {
-    /// The frame.
+pub(crate) struct StageAnswer {
     pub frame: FrameOrder,
     /// The part of the frame: a view, or always 0.
     pub part: u64,
@@ -66,14 +56,14 @@ type Answers = BTreeMap<FrameOrder, FrameAnswers>;
 
 /// The newest answers of both.
 #[derive(Debug, Clone, Default)]
-pub(crate) struct Comparison {
+pub(crate) struct SwapComparison {
     old: Answers,
     new: Answers,
 }
 
 /// What the comparison of some frames gave.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub(crate) struct Figures {
+pub(crate) struct SwapFigures {
     /// Frames that the old process answered.
     pub frames: usize,
     /// In how many of them the new process gave an answer that the old one gave too.
@@ -94,22 +84,15 @@ pub(crate) struct Figures {
     pub new_ms: f64,
 }
 
-impl Comparison {
-    /// Notes an answer.
-    pub(crate) fn note(&mut self, side: Side, answer: Answer) {
-        let answers = match side {
-            Side::Old => &mut self.old,
-            Side::New => &mut self.new,
-        };
-        let Answer { frame, part, found, took_ns } = answer;
-        let frame = answers.entry(frame).or_default();
-        if let Some(took_ns) = took_ns {
-            frame.parts.insert(part, took_ns);
-        }
-        frame.found.extend(found.into_iter().map(|(number, at)| ((part, number), at)));
-        while answers.len() > MAX_FRAMES {
-            answers.pop_first();
-        }
+impl SwapComparison {
+    /// Notes an answer of the process that is replaced.
+    pub(crate) fn note_old(&mut self, answer: StageAnswer) {
+        note(&mut self.old, answer);
+    }
+
+    /// Notes an answer of the process that takes its place.
+    pub(crate) fn note_new(&mut self, answer: StageAnswer) {
+        note(&mut self.new, answer);
     }
 
     /// The newest frame that the old process has answered.
@@ -124,7 +107,7 @@ impl Comparison {
 
     /// Compares the last settled frames from `first` on, as few as show a difference. `None` while
     /// these are fewer than [`FRAMES_COMPARED`].
-    pub(crate) fn figures(&self, first: Option<FrameOrder>) -> Option<Figures> {
+    pub(crate) fn figures(&self, first: Option<FrameOrder>) -> Option<SwapFigures> {
         let begun = *self.new.first_key_value()?.0;
         let first = first.map_or(begun, |first| first.max(begun));
         let frames: Vec<_> = self.old.range(first..).map(|(frame, _)| *frame).collect();
@@ -147,9 +130,9 @@ impl Comparison {
         reached.max(given_up).min(frames.len().saturating_sub(FRAMES_UNSETTLED))
     }
 
-    fn compare(&self, frames: &[FrameOrder]) -> Figures {
+    fn compare(&self, frames: &[FrameOrder]) -> SwapFigures {
         let none = FrameAnswers::default();
-        let mut figures = Figures {
+        let mut figures = SwapFigures {
             frames: frames.len(),
             frames_answered: 0,
             old_answers: 0,
@@ -192,7 +175,19 @@ impl Comparison {
     }
 }
 
-impl Figures {
+fn note(answers: &mut Answers, answer: StageAnswer) {
+    let StageAnswer { frame, part, found, took_ns } = answer;
+    let frame = answers.entry(frame).or_default();
+    if let Some(took_ns) = took_ns {
+        frame.parts.insert(part, took_ns);
+    }
+    frame.found.extend(found.into_iter().map(|(number, at)| ((part, number), at)));
+    while answers.len() > MAX_FRAMES {
+        answers.pop_first();
+    }
+}
+
+impl SwapFigures {
     /// Whether a new process that finds nothing would be noticed.
     pub(crate) fn is_conclusive(&self) -> bool {
         self.old_found >= LEAST_FOUND_BY_OLD
@@ -234,7 +229,7 @@ impl Figures {
     }
 }
 
-impl fmt::Display for Figures {
+impl fmt::Display for SwapFigures {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(
             f,
@@ -258,19 +253,19 @@ mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
 
-    fn answer(sequence: u64, part: u64, numbers: &[u32], off: f64) -> Answer {
+    fn answer(sequence: u64, part: u64, numbers: &[u32], off: f64) -> StageAnswer {
         let found =
             numbers.iter().map(|&number| (number, Some(Vector3::new(off, 0.0, 0.0)))).collect();
-        Answer { frame: (0, 0, sequence), part, found, took_ns: Some(2_000_000) }
+        StageAnswer { frame: (0, 0, sequence), part, found, took_ns: Some(2_000_000) }
     }
 
-    fn compared(new: impl Fn(u64, u64) -> Option<Answer>) -> Option<Figures> {
-        let mut comparison = Comparison::default();
+    fn compared(new: impl Fn(u64, u64) -> Option<StageAnswer>) -> Option<SwapFigures> {
+        let mut comparison = SwapComparison::default();
         for frame in 0..12 {
             for part in 0..2 {
-                comparison.note(Side::Old, answer(frame, part, &[3, 4], 0.0));
+                comparison.note_old(answer(frame, part, &[3, 4], 0.0));
                 if let Some(answer) = new(frame, part) {
-                    comparison.note(Side::New, answer);
+                    comparison.note_new(answer);
                 }
             }
         }
@@ -280,9 +275,9 @@ mod tests {
     #[test]
     fn one_that_is_behind_is_waited_for_and_one_that_stays_away_is_not() {
         let told = |frames: u64, answered: u64| {
-            let mut comparison = Comparison::default();
-            (0..frames).for_each(|frame| comparison.note(Side::Old, answer(frame, 0, &[3], 0.0)));
-            (0..answered).for_each(|frame| comparison.note(Side::New, answer(frame, 0, &[3], 0.0)));
+            let mut comparison = SwapComparison::default();
+            (0..frames).for_each(|frame| comparison.note_old(answer(frame, 0, &[3], 0.0)));
+            (0..answered).for_each(|frame| comparison.note_new(answer(frame, 0, &[3], 0.0)));
             comparison.figures(None)
         };
         assert_eq!(told(22, 9), None, "of the first 10 frames one is on its way");
@@ -319,9 +314,9 @@ mod tests {
             half.misses_may_be_chance(),
             "of 10 frames 5 may be missed by one that misses 2.5 in the mean"
         );
-        assert!(!Figures { frames_answered: 4, ..half.clone() }.misses_may_be_chance());
+        assert!(!SwapFigures { frames_answered: 4, ..half.clone() }.misses_may_be_chance());
         assert!(
-            !Figures { frames_answered: 8, ..half }.misses_may_be_chance(),
+            !SwapFigures { frames_answered: 8, ..half }.misses_may_be_chance(),
             "it is no shortcoming"
         );
         // One that is slower answers fewer views of each frame, and the flow adapts.
@@ -334,16 +329,16 @@ mod tests {
 
     #[test]
     fn small_differences_are_chance() {
-        let mut comparison = Comparison::default();
+        let mut comparison = SwapComparison::default();
         for frame in 0..14 {
-            comparison.note(Side::Old, answer(frame, 0, &[7], 0.0));
+            comparison.note_old(answer(frame, 0, &[7], 0.0));
             let numbers: &[u32] = if frame % 2 == 0 { &[7] } else { &[] };
-            comparison.note(Side::New, answer(frame, 0, numbers, 0.0));
+            comparison.note_new(answer(frame, 0, numbers, 0.0));
         }
         let figures = comparison.figures(None).unwrap();
         assert_eq!((figures.old_found, figures.new_found), (10, 5));
         assert_eq!(figures.shortcoming(), None);
-        assert!(Figures { new_found: 1, ..figures }.shortcoming().is_some());
+        assert!(SwapFigures { new_found: 1, ..figures }.shortcoming().is_some());
     }
 
     #[test]

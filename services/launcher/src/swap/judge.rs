@@ -6,9 +6,9 @@ use flockeye_contract::{FrameOrder, FrameStamp, HandOver, HandOverState};
 use flockeye_runtime::clock;
 use serde_json::json;
 
-use super::comparison::{Comparison, Figures};
-use super::verdict::Verdict;
-use crate::control::Worker;
+use super::comparison::{StageAnswer, SwapComparison, SwapFigures};
+use super::verdict::SwapVerdict;
+use crate::control::WorkerName;
 
 /// A new process takes over this many frames after the newest one: all processes know it by then.
 const FRAMES_AHEAD: u64 = 4;
@@ -21,19 +21,21 @@ const TAKING_BACK_TIME: Duration = Duration::from_millis(500);
 /// Decides about one swap.
 #[derive(Debug, Clone)]
 pub(crate) struct Judge {
-    worker: Worker,
-    old_generation: u32,
+    pub worker: WorkerName,
+    pub old_generation: u32,
     new_generation: u32,
-    phase: Phase,
+    /// What both have answered.
+    comparison: SwapComparison,
+    phase: SwapPhase,
     began: Instant,
     deadline: Instant,
     accept_worse: bool,
-    figures_in_shadow: Option<Figures>,
+    figures_in_shadow: Option<SwapFigures>,
 }
 
 /// How far a swap is.
 #[derive(Debug, Clone, PartialEq)]
-enum Phase {
+enum SwapPhase {
     /// The new process answers, and nobody listens.
     Shadow,
     /// It counts from `first` on.
@@ -42,21 +44,12 @@ enum Phase {
     TakingBack { until: Instant, reason: String },
 }
 
-/// How the two processes are at the moment.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Lives<'a> {
-    /// How the new process has ended, if it has.
-    pub new_ended: Option<&'a str>,
-    /// Whether the old process runs.
-    pub old_runs: bool,
-}
-
 impl Judge {
     /// Judges a swap of `worker` that begins at `now`, from the first generation to the second. The
     /// new process has `within` to do as well as the old one, or to answer at all if it may do
     /// worse.
     pub(crate) fn new(
-        worker: Worker,
+        worker: WorkerName,
         [old_generation, new_generation]: [u32; 2],
         now: Instant,
         within: Duration,
@@ -66,7 +59,8 @@ impl Judge {
             worker,
             old_generation,
             new_generation,
-            phase: Phase::Shadow,
+            comparison: SwapComparison::default(),
+            phase: SwapPhase::Shadow,
             began: now,
             deadline: now + within,
             accept_worse,
@@ -74,9 +68,13 @@ impl Judge {
         }
     }
 
-    /// Whether a process of this generation is the one that is replaced.
-    pub(crate) fn is_of_generation(&self, generation: u32) -> bool {
-        generation == self.old_generation
+    /// Notes an answer of a process of this generation, if it is one of the two.
+    pub(crate) fn note(&mut self, generation: u32, answer: StageAnswer) {
+        if generation == self.old_generation {
+            self.comparison.note_old(answer);
+        } else if generation == self.new_generation {
+            self.comparison.note_new(answer);
+        }
     }
 
     /// The hand-over with this state from this frame on.
@@ -104,101 +102,103 @@ impl Judge {
         self.hand_over(HandOverState::Shadow, FrameOrder::default(), generations)
     }
 
-    /// What is to be done now, given the answers of both.
+    /// What is to be done now, given the answers of both, how the new process has ended if it has,
+    /// and whether the old one runs.
     pub(crate) fn judge(
         &mut self,
-        comparison: &Comparison,
-        lives: Lives<'_>,
+        new_ended: Option<&str>,
+        old_runs: bool,
         now: Instant,
-    ) -> Verdict {
+    ) -> SwapVerdict {
         match self.phase.clone() {
-            Phase::Shadow => self.judge_shadow(comparison, lives, now),
-            Phase::Probation { first, until } => {
-                self.judge_probation(comparison, lives, first, until, now)
+            SwapPhase::Shadow => self.judge_shadow(new_ended, old_runs, now),
+            SwapPhase::Probation { first, until } => {
+                self.judge_probation(new_ended, old_runs, first, until, now)
             }
-            Phase::TakingBack { until, reason } => match now >= until {
-                true => Verdict::Refused(reason),
-                false => Verdict::Wait,
+            SwapPhase::TakingBack { until, reason } => match now >= until {
+                true => SwapVerdict::Refused(reason),
+                false => SwapVerdict::Wait,
             },
         }
     }
 
-    fn judge_shadow(&mut self, comparison: &Comparison, lives: Lives<'_>, now: Instant) -> Verdict {
-        if let Some(how) = lives.new_ended {
-            return Verdict::Refused(format!("the new process {how}"));
+    fn judge_shadow(
+        &mut self,
+        new_ended: Option<&str>,
+        old_runs: bool,
+        now: Instant,
+    ) -> SwapVerdict {
+        if let Some(how) = new_ended {
+            return SwapVerdict::Refused(format!("the new process {how}"));
         }
-        if !lives.old_runs {
-            return Verdict::Refused(
+        if !old_runs {
+            return SwapVerdict::Refused(
                 "the old process ended meanwhile, and is restarted".to_owned(),
             );
         }
-        let figures = comparison.figures(None);
+        let figures = self.comparison.figures(None);
         // Where no neighbour is near, there may be nothing to find; then it is not waited for all
         // the time.
         let has_waited = now + (self.deadline - self.began) / 2 >= self.deadline;
         let shortcoming = match &figures {
-            Some(figures) if !figures.is_conclusive() && !has_waited => return Verdict::Wait,
+            Some(figures) if !figures.is_conclusive() && !has_waited => return SwapVerdict::Wait,
             Some(_) if self.accept_worse => None,
             Some(figures) => figures.shortcoming(),
-            None => Some(nothing_to_compare(comparison)),
+            None => Some(nothing_to_compare(&self.comparison)),
         };
-        match (shortcoming, comparison.newest()) {
+        match (shortcoming, self.comparison.newest()) {
             (None, Some((source_generation, epoch, sequence))) => {
                 let first = (source_generation, epoch, sequence + FRAMES_AHEAD);
-                self.phase = Phase::Probation { first, until: now + PROBATION_TIME };
+                self.phase = SwapPhase::Probation { first, until: now + PROBATION_TIME };
                 let generations = [self.old_generation, self.new_generation];
                 let hand_over = self.hand_over(HandOverState::TakenOver, first, generations);
-                let shown = figures.as_ref().map_or_else(String::new, Figures::to_string);
+                let shown = figures.as_ref().map_or_else(String::new, SwapFigures::to_string);
                 self.figures_in_shadow = figures;
-                Verdict::TakeOver(hand_over, format!("it takes over at frame {}: {shown}", first.2))
+                SwapVerdict::TakeOver(
+                    hand_over,
+                    format!("it takes over at frame {}: {shown}", first.2),
+                )
             }
-            (Some(reason), _) if now >= self.deadline => Verdict::Refused(format!(
+            (Some(reason), _) if now >= self.deadline => SwapVerdict::Refused(format!(
                 "in {:.1} s the new process has not done as well as the old one: {reason}",
                 (self.deadline - self.began).as_secs_f64()
             )),
-            _ => Verdict::Wait,
+            _ => SwapVerdict::Wait,
         }
     }
 
     fn judge_probation(
         &mut self,
-        comparison: &Comparison,
-        lives: Lives<'_>,
+        new_ended: Option<&str>,
+        old_runs: bool,
         first: FrameOrder,
         until: Instant,
         now: Instant,
-    ) -> Verdict {
-        if let Some(how) = lives.new_ended {
-            return self.take_back(
-                comparison,
-                format!("the new process {how} after it had taken over"),
-                now,
-            );
+    ) -> SwapVerdict {
+        if let Some(how) = new_ended {
+            return self.take_back(format!("the new process {how} after it had taken over"), now);
         }
-        let figures = comparison.figures(Some(first));
-        if !lives.old_runs {
+        let figures = self.comparison.figures(Some(first));
+        if !old_runs {
             return self.done(figures, now);
         }
         match figures {
             Some(figures) => match figures.shortcoming().filter(|_| !self.accept_worse) {
-                Some(_) if figures.misses_may_be_chance() && now < until => Verdict::Wait,
-                Some(reason) => self.take_back(
-                    comparison,
-                    format!("after the new process had taken over, {reason}"),
-                    now,
-                ),
+                Some(_) if figures.misses_may_be_chance() && now < until => SwapVerdict::Wait,
+                Some(reason) => {
+                    self.take_back(format!("after the new process had taken over, {reason}"), now)
+                }
                 None => self.done(Some(figures), now),
             },
             None if now >= until => self.take_back(
-                comparison,
                 "after the new process had taken over, it answered too little".to_owned(),
                 now,
             ),
-            None => Verdict::Wait,
+            None => SwapVerdict::Wait,
         }
     }
 
-    fn done(&self, figures: Option<Figures>, now: Instant) -> Verdict {
+    fn done(&self, figures: Option<SwapFigures>, now: Instant) -> SwapVerdict {
         let took_s = (now - self.began).as_secs_f64();
         let shown = figures.as_ref().map_or_else(String::new, |figures| format!(": {figures}"));
         let report = json!({
@@ -208,20 +208,21 @@ impl Judge {
             "shadow": self.figures_in_shadow,
             "probation": figures,
         });
-        Verdict::Done(format!("{} is swapped after {took_s:.1} s{shown}", self.worker), report)
+        SwapVerdict::Done(format!("{} is swapped after {took_s:.1} s{shown}", self.worker), report)
     }
 
-    fn take_back(&mut self, comparison: &Comparison, reason: String, now: Instant) -> Verdict {
-        let newest = comparison.newest().unwrap_or_default();
+    fn take_back(&mut self, reason: String, now: Instant) -> SwapVerdict {
+        let newest = self.comparison.newest().unwrap_or_default();
         let first = (newest.0, newest.1, newest.2 + 1);
-        self.phase = Phase::TakingBack { until: now + TAKING_BACK_TIME, reason: reason.clone() };
+        self.phase =
+            SwapPhase::TakingBack { until: now + TAKING_BACK_TIME, reason: reason.clone() };
         let generations = [self.new_generation, self.old_generation];
-        Verdict::TakeBack(self.hand_over(HandOverState::TakenOver, first, generations), reason)
+        SwapVerdict::TakeBack(self.hand_over(HandOverState::TakenOver, first, generations), reason)
     }
 }
 
 /// Why the two cannot be compared.
-fn nothing_to_compare(comparison: &Comparison) -> String {
+fn nothing_to_compare(comparison: &SwapComparison) -> String {
     if comparison.has_begun() {
         "too few frames to compare".to_owned()
     } else {
@@ -233,17 +234,20 @@ fn nothing_to_compare(comparison: &Comparison) -> String {
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
-    use crate::swap::comparison::{Answer, Side};
 
     const WITHIN: Duration = Duration::from_secs(10);
-    const ALIVE: Lives<'static> = Lives { new_ended: None, old_runs: true };
+    /// Generations of the two processes.
+    const OLD: u32 = 3;
+    const NEW: u32 = 4;
+    /// How the new process has ended, and whether the old one runs.
+    type Lives = (Option<&'static str>, bool);
+    const ALIVE: Lives = (None, true);
 
     /// A swap of fusion, and both processes' answers to these frames; the new one finds `found` of
     /// 2 things.
     #[derive(Clone)]
     struct Scene {
         judge: Judge,
-        comparison: Comparison,
         start: Instant,
     }
 
@@ -254,42 +258,44 @@ mod tests {
 
         fn with(accept_worse: bool) -> Self {
             let start = Instant::now();
-            let judge = Judge::new("fusion".parse().unwrap(), [3, 4], start, WITHIN, accept_worse);
-            Self { judge, comparison: Comparison::default(), start }
+            let judge =
+                Judge::new("fusion".parse().unwrap(), [OLD, NEW], start, WITHIN, accept_worse);
+            Self { judge, start }
         }
 
         fn answers(&mut self, frames: std::ops::Range<u64>, found: u32) {
             for sequence in frames {
-                self.answer(Side::Old, sequence, 2);
-                self.answer(Side::New, sequence, found);
+                self.answer(OLD, sequence, 2);
+                self.answer(NEW, sequence, found);
             }
         }
 
-        fn answer(&mut self, side: Side, sequence: u64, count: u32) {
+        fn answer(&mut self, generation: u32, sequence: u64, count: u32) {
             let found = (0..count).map(|number| (number, None)).collect();
-            let answer = Answer { frame: (0, 0, sequence), part: 0, found, took_ns: Some(1) };
-            self.comparison.note(side, answer);
+            let answer = StageAnswer { frame: (0, 0, sequence), part: 0, found, took_ns: Some(1) };
+            self.judge.note(generation, answer);
         }
 
         /// Both answer these frames but for the missed ones, which the old process alone answers.
         fn answers_but(&mut self, frames: std::ops::Range<u64>, is_missed: impl Fn(u64) -> bool) {
             for sequence in frames {
-                self.answer(Side::Old, sequence, 2);
+                self.answer(OLD, sequence, 2);
                 if !is_missed(sequence) {
-                    self.answer(Side::New, sequence, 2);
+                    self.answer(NEW, sequence, 2);
                 }
             }
         }
 
-        fn at(&mut self, seconds: f64, lives: Lives<'_>) -> Verdict {
-            self.judge.judge(&self.comparison, lives, self.start + Duration::from_secs_f64(seconds))
+        fn at(&mut self, seconds: f64, (new_ended, old_runs): Lives) -> SwapVerdict {
+            let now = self.start + Duration::from_secs_f64(seconds);
+            self.judge.judge(new_ended, old_runs, now)
         }
 
         /// In probation from frame 23 on.
         fn taken_over() -> Self {
             let mut scene = Self::new();
             scene.answers(0..20, 2);
-            let Verdict::TakeOver(hand_over, _) = scene.at(1.0, ALIVE) else {
+            let SwapVerdict::TakeOver(hand_over, _) = scene.at(1.0, ALIVE) else {
                 panic!("it does as well")
             };
             assert_eq!(
@@ -301,9 +307,9 @@ mod tests {
         }
     }
 
-    fn reason(verdict: Verdict) -> String {
+    fn reason(verdict: SwapVerdict) -> String {
         match verdict {
-            Verdict::Refused(reason) | Verdict::TakeBack(_, reason) => reason,
+            SwapVerdict::Refused(reason) | SwapVerdict::TakeBack(_, reason) => reason,
             other => panic!("{other:?}"),
         }
     }
@@ -312,11 +318,13 @@ mod tests {
     fn who_does_as_well_takes_over_and_stays() {
         let mut scene = Scene::new();
         assert_eq!(scene.judge.begin().state, HandOverState::Shadow.code());
-        assert_eq!(scene.at(0.1, ALIVE), Verdict::Wait);
+        assert_eq!(scene.at(0.1, ALIVE), SwapVerdict::Wait);
         let mut scene = Scene::taken_over();
-        assert_eq!(scene.at(1.1, ALIVE), Verdict::Wait);
+        assert_eq!(scene.at(1.1, ALIVE), SwapVerdict::Wait);
         scene.answers(20..40, 2);
-        let Verdict::Done(text, report) = scene.at(2.0, ALIVE) else { panic!("it does as well") };
+        let SwapVerdict::Done(text, report) = scene.at(2.0, ALIVE) else {
+            panic!("it does as well")
+        };
         assert!(text.starts_with("fusion is swapped after 2.0 s"), "{text}");
         assert_eq!(report["generation"], 4);
     }
@@ -325,7 +333,7 @@ mod tests {
     fn who_finds_nothing_is_refused_at_the_deadline() {
         let mut scene = Scene::new();
         scene.answers(0..20, 0);
-        assert_eq!(scene.at(9.9, ALIVE), Verdict::Wait);
+        assert_eq!(scene.at(9.9, ALIVE), SwapVerdict::Wait);
         let reason = reason(scene.at(10.0, ALIVE));
         assert!(reason.contains("in 10.0 s the new process has not done as well"), "{reason}");
     }
@@ -335,56 +343,51 @@ mod tests {
         let mut scene = Scene::with(true);
         // Nobody is in sight yet.
         for sequence in 0..20 {
-            for side in [Side::Old, Side::New] {
-                let frame = (0, 0, sequence);
-                let answer = Answer { frame, part: 0, found: Vec::new(), took_ns: Some(1) };
-                scene.comparison.note(side, answer);
-            }
+            scene.answer(OLD, sequence, 0);
+            scene.answer(NEW, sequence, 0);
         }
-        assert_eq!(scene.at(1.0, ALIVE), Verdict::Wait);
-        assert!(matches!(scene.clone().at(6.0, ALIVE), Verdict::TakeOver(..)), "nobody comes");
+        assert_eq!(scene.at(1.0, ALIVE), SwapVerdict::Wait);
+        assert!(matches!(scene.clone().at(6.0, ALIVE), SwapVerdict::TakeOver(..)), "nobody comes");
         scene.answers(20..40, 0);
-        let Verdict::TakeOver(_, text) = scene.at(2.0, ALIVE) else { panic!("it may do worse") };
+        let SwapVerdict::TakeOver(_, text) = scene.at(2.0, ALIVE) else {
+            panic!("it may do worse")
+        };
         assert!(text.contains("0 found against 20"), "{text}");
     }
 
     #[test]
     fn who_answers_nothing_is_refused_at_the_deadline() {
         let mut scene = Scene::new();
-        assert_eq!(scene.at(5.0, ALIVE), Verdict::Wait);
+        assert_eq!(scene.at(5.0, ALIVE), SwapVerdict::Wait);
         assert!(reason(scene.at(10.0, ALIVE)).contains("it has answered nothing"));
     }
 
     #[test]
     fn whoever_ends_in_the_shadow_ends_the_swap() {
         let mut scene = Scene::new();
-        let ended = Lives { new_ended: Some("ended with status 1"), old_runs: true };
+        let ended = (Some("ended with status 1"), true);
         assert_eq!(reason(scene.at(1.0, ended)), "the new process ended with status 1");
-        let restarted = Lives { new_ended: None, old_runs: false };
+        let restarted = (None, false);
         assert!(reason(scene.at(1.0, restarted)).contains("the old process ended meanwhile"));
     }
 
     #[test]
     fn who_fails_after_the_hand_over_is_taken_back_from_the_next_frame_on() {
         for (lives, found, wanted) in [
-            (
-                Lives { new_ended: Some("ended with status 1"), old_runs: true },
-                2,
-                "ended with status 1",
-            ),
+            ((Some("ended with status 1"), true), 2, "ended with status 1"),
             (ALIVE, 0, "after the new process had taken over"),
         ] {
             let mut scene = Scene::taken_over();
             scene.answers(20..40, found);
-            let Verdict::TakeBack(hand_over, reason) = scene.at(2.0, lives) else {
+            let SwapVerdict::TakeBack(hand_over, reason) = scene.at(2.0, lives) else {
                 panic!("it has failed")
             };
             assert!(reason.contains(wanted), "{reason}");
             assert_eq!((hand_over.old_generation, hand_over.new_generation), (4, 3));
             assert_eq!(hand_over.first.sequence, 40);
             // All processes know it before the new one ends.
-            assert_eq!(scene.at(2.1, lives), Verdict::Wait);
-            assert!(matches!(scene.at(3.0, lives), Verdict::Refused(_)));
+            assert_eq!(scene.at(2.1, lives), SwapVerdict::Wait);
+            assert!(matches!(scene.at(3.0, lives), SwapVerdict::Refused(_)));
         }
     }
 
@@ -392,13 +395,13 @@ mod tests {
     fn who_misses_some_frames_after_the_hand_over_is_looked_at_again() {
         let mut scene = Scene::taken_over();
         scene.answers_but(20..35, |sequence| (24..27).contains(&sequence));
-        assert_eq!(scene.at(1.5, ALIVE), Verdict::Wait);
+        assert_eq!(scene.at(1.5, ALIVE), SwapVerdict::Wait);
         let mut better = scene.clone();
         better.answers(35..40, 2);
-        assert!(matches!(better.at(2.0, ALIVE), Verdict::Done(..)));
+        assert!(matches!(better.at(2.0, ALIVE), SwapVerdict::Done(..)));
         // It does not get better, and all frames since the hand-over count.
         scene.answers_but(35..45, |sequence| sequence % 3 == 0);
-        assert_eq!(scene.at(2.0, ALIVE), Verdict::Wait);
+        assert_eq!(scene.at(2.0, ALIVE), SwapVerdict::Wait);
         assert!(reason(scene.at(4.1, ALIVE)).contains("of the 20 frames"));
         // This many are not missed by chance.
         let mut scene = Scene::taken_over();
@@ -416,7 +419,7 @@ mod tests {
     #[test]
     fn if_the_old_one_ends_in_the_probation_the_new_one_stays() {
         let mut scene = Scene::taken_over();
-        let alone = Lives { new_ended: None, old_runs: false };
-        assert!(matches!(scene.at(1.2, alone), Verdict::Done(..)));
+        let alone = (None, false);
+        assert!(matches!(scene.at(1.2, alone), SwapVerdict::Done(..)));
     }
 }

@@ -9,20 +9,12 @@ use flockeye_runtime::clock;
 use flockeye_runtime::ports::{Message, Ports, Subscriber};
 use nalgebra::Vector3;
 
-use super::comparison::{Answer, Comparison, Side};
-use crate::control::Worker;
+use super::comparison::StageAnswer;
+use super::judge::Judge;
+use crate::control::WorkerName;
 
-/// Reads the answers of the old and the new process.
-pub(crate) struct Shadow {
-    worker: Worker,
-    old_generation: u32,
-    new_generation: u32,
-    inputs: Inputs,
-    /// How both compare.
-    pub comparison: Comparison,
-}
-
-enum Inputs {
+/// The topics by which the answers of the old and the new process are read.
+pub(crate) enum Shadow {
     Detections(Subscriber<Detections>),
     /// Ends of frames, and what was found in the views.
     Views(Subscriber<FrameEnds>, Subscriber<Detections>),
@@ -39,69 +31,48 @@ pub fn can_shadow(stage: StageName) -> bool {
 }
 
 impl Shadow {
-    /// Listens to both generations of a worker by `ports`, which must admit everybody.
-    ///
-    /// # Errors
-    /// The stage cannot run twice, or a topic has no room for another reader.
-    pub(crate) fn open(
-        worker: Worker,
-        [old_generation, new_generation]: [u32; 2],
-        ports: &mut Ports,
-    ) -> anyhow::Result<Self> {
+    /// Listens to both processes of a worker by `ports`, which must admit everybody.
+    pub(crate) fn open(worker: WorkerName, ports: &mut Ports) -> anyhow::Result<Self> {
         ensure!(can_shadow(worker.stage), "{worker} cannot run twice at once");
-        let inputs = match worker.stage {
-            StageName::Detection => Inputs::Detections(ports.subscriber()?),
-            StageName::Rectification => Inputs::Views(ports.subscriber()?, ports.subscriber()?),
-            StageName::Egomotion => Inputs::Rotations(ports.subscriber()?),
-            _ => Inputs::Tracks(ports.subscriber()?),
-        };
-        let comparison = Comparison::default();
-        Ok(Self { worker, old_generation, new_generation, inputs, comparison })
+        Ok(match worker.stage {
+            StageName::Detection => Self::Detections(ports.subscriber()?),
+            StageName::Rectification => Self::Views(ports.subscriber()?, ports.subscriber()?),
+            StageName::Egomotion => Self::Rotations(ports.subscriber()?),
+            _ => Self::Tracks(ports.subscriber()?),
+        })
     }
 
-    /// Takes what has come.
-    ///
-    /// # Errors
-    /// A topic cannot be read.
-    pub(crate) fn receive(&mut self) -> anyhow::Result<()> {
-        let [old, new] = [self.old_generation, self.new_generation];
-        let side = |generation: u32| match generation {
-            generation if generation == old => Some(Side::Old),
-            generation if generation == new => Some(Side::New),
-            _ => None,
-        };
-        let comparison = &mut self.comparison;
-        let mut note = |generation: u32, answer: Answer| {
-            if let Some(side) = side(generation) {
-                comparison.note(side, answer);
-            }
-        };
-        match &mut self.inputs {
-            Inputs::Detections(detections) => {
+    /// Passes what has come on to the judge of the swap.
+    pub(crate) fn receive(&mut self, judge: &mut Judge) -> anyhow::Result<()> {
+        match self {
+            Self::Detections(detections) => {
                 while let Some(message) = detections.receive()? {
                     let header = &message.header;
-                    if header.worker == self.worker.replica {
-                        note(header.generation, searched(&message, view_number(header)));
+                    if header.worker == judge.worker.replica {
+                        judge.note(header.generation, searched(&message, view_number(header)));
                     }
                 }
             }
-            Inputs::Views(frame_ends, detections) => {
+            Self::Views(frame_ends, detections) => {
                 while let Some(message) = detections.receive()? {
                     // The two cut views of their own, and how many is a matter of time left: what
                     // counts is whether anything is found in the frame.
-                    let mut answer = Answer { took_ns: None, ..searched(&message, 0) };
+                    let mut answer = StageAnswer { took_ns: None, ..searched(&message, 0) };
                     answer.found.truncate(1);
                     answer.found.iter_mut().for_each(|found| *found = (0, None));
-                    note(message.header.view_generation, answer);
+                    judge.note(message.header.view_generation, answer);
                 }
                 while let Some(message) = frame_ends.receive()? {
                     let end = &message.header;
                     let took_ns = Some(end.ended_ns - end.taken_ns);
                     let frame = end.stamp.order();
-                    note(end.generation, Answer { frame, part: 0, found: Vec::new(), took_ns });
+                    judge.note(
+                        end.generation,
+                        StageAnswer { frame, part: 0, found: Vec::new(), took_ns },
+                    );
                 }
             }
-            Inputs::Rotations(rotations) => {
+            Self::Rotations(rotations) => {
                 while let Some(message) = rotations.receive()? {
                     let rotation = &message.header;
                     let is_known = rotation.source != RotationSource::Nothing.code();
@@ -111,10 +82,10 @@ impl Shadow {
                     let found = is_known.then_some((0, Some(turned))).into_iter().collect();
                     let took_ns = Some(clock::monotonic_ns() - rotation.stamp.published_ns);
                     let frame = rotation.stamp.order();
-                    note(rotation.generation, Answer { frame, part: 0, found, took_ns });
+                    judge.note(rotation.generation, StageAnswer { frame, part: 0, found, took_ns });
                 }
             }
-            Inputs::Tracks(tracks) => {
+            Self::Tracks(tracks) => {
                 while let Some(message) = tracks.receive()? {
                     let measured = message
                         .items()
@@ -128,7 +99,7 @@ impl Shadow {
                     let header = &message.header;
                     let took_ns = Some(clock::monotonic_ns() - header.stamp.published_ns);
                     let frame = header.stamp.order();
-                    note(header.generation, Answer { frame, part: 0, found, took_ns });
+                    judge.note(header.generation, StageAnswer { frame, part: 0, found, took_ns });
                 }
             }
         }
@@ -137,9 +108,9 @@ impl Shadow {
 }
 
 /// The markers that were decoded in a view, each with the ray of its first corner.
-fn searched(message: &Message<Detections>, part: u64) -> Answer {
+fn searched(message: &Message<Detections>, part: u64) -> StageAnswer {
     let decoded = message.items().iter().filter(|marker| marker.is_decoded());
-    Answer {
+    StageAnswer {
         frame: message.header.stamp.order(),
         part,
         found: decoded.map(|marker| (marker.id, Some(marker.rays_in_camera[0].into()))).collect(),

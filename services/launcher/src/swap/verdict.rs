@@ -4,10 +4,9 @@ use flockeye_contract::HandOver;
 
 /// What is to be done about a swap.
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) enum Verdict {
+pub(crate) enum SwapVerdict {
     /// Nothing yet.
     Wait,
-    /// The new process takes over.
     TakeOver(HandOver, String),
     /// The new process failed after it took over: the old one counts again.
     TakeBack(HandOver, String),

@@ -73,8 +73,8 @@ impl Maps {
             }
             &CameraModel::Stereographic { field_rad } => {
                 let plane = Stereographic::new(camera.width(), camera.height(), field_rad);
-                let (twice, circle) = (2.0 * plane.radius_px() as f32, plane.circle_px() as f32);
-                let centre = plane.centre_px().map(|side| side as f32);
+                let (twice, circle) = (2.0 * plane.radius_px as f32, plane.circle_px as f32);
+                let centre = plane.centre_px.map(|side| side as f32);
                 self.fill(view, |d| {
                     let scale = twice / (d.norm() + d.x);
                     let (u, v) = (-d.y * scale, -d.z * scale);

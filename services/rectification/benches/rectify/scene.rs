@@ -1,9 +1,10 @@
 //! Cameras, a frame, and the views cut from it.
 
+use flockeye_contract::FrameOrder;
 use flockeye_geometry::camera::{Camera, CameraModel, Lens, LensCurve};
 use flockeye_geometry::view::View;
 use flockeye_imaging::sphere::{Cut, SphereImage};
-use flockeye_rectification::rectifier::{FrameKey, Rectifier};
+use flockeye_rectification::rectifier::Rectifier;
 use nalgebra::{Isometry3, Rotation3, Translation3, Unit, UnitQuaternion, Vector3};
 
 /// A frame of a camera.
@@ -26,8 +27,8 @@ impl Scene {
         SphereImage::new(&self.pixels, self.camera.width() as usize, self.camera).unwrap()
     }
 
-    pub fn key(&self, frame: u64) -> FrameKey {
-        FrameKey { sequence: frame, ..FrameKey::default() }
+    pub fn key(&self, frame: u64) -> FrameOrder {
+        (0, 0, frame)
     }
 
     pub fn cut(&self, rectifier: &mut dyn Rectifier, frame: u64, cut: &Cut, out: &mut [u8]) {

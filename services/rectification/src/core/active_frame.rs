@@ -10,7 +10,7 @@ use flockeye_imaging::sphere::{Cut, Interpolation};
 use nalgebra::Vector3;
 
 use super::events::CutOrder;
-use crate::job::Job;
+use crate::job::FrameJob;
 
 /// A frame whose views are being cut, or that waits for the answers to them.
 #[derive(Debug)]
@@ -18,25 +18,14 @@ pub(crate) struct ActiveFrame<F> {
     /// The owner of its pixels.
     pub(crate) pixels: F,
     /// Its views.
-    pub(crate) job: Job,
+    pub(crate) job: FrameJob,
     /// Views that were announced to the back end.
     announced: BTreeSet<u32>,
 }
 
-/// The worker and the attempt that a view is cut for.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Recipient {
-    /// The worker.
-    pub(crate) worker: usize,
-    /// How often the view was cut before.
-    pub(crate) attempt: u32,
-    /// The generation of this stage.
-    pub(crate) generation: u32,
-}
-
 impl<F> ActiveFrame<F> {
     /// A frame of which nothing was cut.
-    pub(crate) fn new(job: Job, pixels: F) -> Self {
+    pub(crate) fn new(job: FrameJob, pixels: F) -> Self {
         Self { pixels, job, announced: BTreeSet::new() }
     }
 
@@ -62,46 +51,26 @@ impl<F> ActiveFrame<F> {
         cuts
     }
 
-    /// The order to cut a view for a worker. `None` for a view that is not in the plan.
-    pub(crate) fn cut_order(
-        &mut self,
-        index: u32,
-        recipient: Recipient,
-        camera: &Camera,
-    ) -> Option<CutOrder> {
-        let (view, planned) = self.job.view(index)?;
-        let ahead = match self.announced.contains(&index) {
+    /// The order to cut a view, for no worker yet. `None` for a view that is not in the plan.
+    pub(crate) fn cut_order(&mut self, view_index: u32, camera: &Camera) -> Option<CutOrder> {
+        let (view, planned) = self.job.view(view_index)?;
+        let ahead = match self.announced.contains(&view_index) {
             true => Vec::new(),
             false => {
-                let rest: Vec<u32> = self.job.from(index).collect();
+                let rest: Vec<u32> = self.job.from(view_index).collect();
                 self.announce(rest, camera)
             }
         };
-        let header = self.view_header(view, &planned, index, recipient);
-        Some(CutOrder { header, cut: cut_of(view, &planned, camera), ahead })
-    }
-
-    fn view_header(
-        &self,
-        view: View,
-        planned: &PlannedView,
-        view_index: u32,
-        recipient: Recipient,
-    ) -> ViewHeader {
         let frame = &self.job.frame;
-        ViewHeader {
+        let header = ViewHeader {
             stamp: frame.stamp,
             plan_id: self.job.plan_id,
             taken_ns: self.job.taken_ns,
-            issued_ns: 0,
             camera_from_view: xyzw(&view.camera_from_view),
             focal_px: view.focal_px,
             predicted_camera_from_markers: planned.predicted_camera_from_markers,
             readout_ns: frame.readout_ns,
-            generation: recipient.generation,
             view_index,
-            attempt: recipient.attempt,
-            worker: recipient.worker as u32,
             size_px: view.size_px,
             stride: view.size_px,
             kind: planned.kind,
@@ -112,7 +81,9 @@ impl<F> ActiveFrame<F> {
             gamma: frame.gamma,
             range: frame.range,
             search: planned.search,
-        }
+            ..ViewHeader::default()
+        };
+        Some(CutOrder { header, cut: cut_of(view, &planned, camera), ahead })
     }
 }
 

@@ -9,6 +9,7 @@ use flockeye_imaging::sphere::Cut;
 use crate::proposals::ProposalSearch;
 
 /// What happens to rectification.
+#[expect(missing_docs, reason = "the variants say what the fields are")]
 #[derive(Debug)]
 pub enum Event<F> {
     /// A frame has come; `F` owns its pixels.
@@ -18,43 +19,26 @@ pub enum Event<F> {
     /// A worker has searched a view.
     Answer(DetectionHeader),
     /// Places that look like a body were searched in a frame.
-    Looked {
-        /// The frame.
-        frame: FrameOrder,
-        /// The places.
-        found: Vec<Proposal>,
-        /// How long that took, nanoseconds.
-        took_ns: i64,
-    },
+    Looked { frame: FrameOrder, found: Vec<Proposal>, took_ns: i64 },
     /// A view was cut and published.
-    Published {
-        /// Its header.
-        header: ViewHeader,
-        /// How long cutting took, nanoseconds.
-        took_ns: i64,
-    },
+    Published { header: ViewHeader, took_ns: i64 },
     /// The last action on a frame was impossible. No further view of it is cut.
     Failed(FrameOrder),
 }
 
 /// What is to be done.
 #[derive(Debug, Clone, PartialEq)]
+#[expect(missing_docs, reason = "the variants say what the fields are")]
 #[expect(clippy::large_enum_variant, reason = "one at a time, on the stack")]
 pub enum Action {
     /// Work on a frame begins. The back end may make these cuts ahead.
     TakeUp {
-        /// The frame.
         frame: FrameOrder,
         /// The views that will probably be cut.
         likely: Vec<Cut>,
     },
     /// Search a frame for places that look like a body.
-    Look {
-        /// The frame.
-        frame: FrameOrder,
-        /// What is searched.
-        search: ProposalSearch,
-    },
+    Look { frame: FrameOrder, search: ProposalSearch },
     /// Cut a view and publish it.
     Cut(CutOrder),
     /// Publish the end of a frame.

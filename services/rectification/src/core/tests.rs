@@ -4,7 +4,6 @@
 
 use super::*;
 use crate::cadence::Cadence;
-use crate::frame_clock::Clock;
 use crate::virtual_budget::VirtualBudget;
 use flockeye_config::{Costs, Pipeline};
 use flockeye_contract::{FrameStamp, ViewKind};
@@ -12,18 +11,18 @@ use flockeye_geometry::partition::Partition;
 
 const MS: i64 = 1_000_000;
 
-fn core(flow: Flow, clock: Clock, workers: usize) -> Core<()> {
+fn core(flow: Flow, clock: FrameClock, workers: usize) -> Core<()> {
     let views = Partition::icosahedron().views(0.1, 600.0).unwrap();
     let camera = Camera::equirectangular(3840, 1920);
     let overdue = Duration::from_millis(500);
     let options = Options { flow, generation: 3, workers, window: 2, overdue, camera };
     let resolved = Resolved::of(Pipeline::parse("", &[], "a test").unwrap()).unwrap();
     let proposals = ProposalChooser::of(&resolved).unwrap();
-    Core::new(options, FrameClock::new(clock), (0..).zip(views).collect(), proposals, 0)
+    Core::new(options, clock, (0..).zip(views).collect(), proposals, 0)
 }
 
 fn flying(workers: usize) -> Core<()> {
-    core(Flow::Latest, Clock::Live(Cadence::default()), workers)
+    core(Flow::Latest, FrameClock::Live(Cadence::default()), workers)
 }
 
 fn stamp(sequence: u64) -> FrameStamp {
@@ -127,7 +126,7 @@ fn the_newest_frame_waits_and_the_others_are_dropped() {
     let mut core = flying(2);
     assert!(!core.on(frame(0), 0) && core.on(frame(1), 1) && core.on(frame(2), 2));
     assert!(matches!(core.step(3), Action::TakeUp { frame: (0, 0, 2), .. }));
-    assert!(!core.has_waiting());
+    assert!(core.waiting.is_none());
 }
 
 #[test]
@@ -140,7 +139,7 @@ fn a_plan_is_followed_until_it_is_stale() {
     assert_eq!(reason(&ends[0]), StopReason::Complete);
     core.on(frame(1), STALE_PLAN_NS);
     assert_eq!(run(&mut core, STALE_PLAN_NS).1[0].plan_id, 0, "fusion has died since");
-    let mut lossless = self::core(Flow::Lossless, Clock::Unlimited, 2);
+    let mut lossless = self::core(Flow::Lossless, FrameClock::Unlimited, 2);
     lossless.on(plan(7, &[Roi, Tile, Tile, Tile], 0), 0);
     lossless.on(frame(1), STALE_PLAN_NS);
     let (orders, ends) = run(&mut lossless, STALE_PLAN_NS);
@@ -169,6 +168,32 @@ fn regions_are_cut_at_once_and_tiles_one_at_a_time() {
     core.on(answer(&orders[1]), 0);
     assert_eq!(cut(&mut core).header.view_index, 2);
     assert!(matches!(core.step(0), Action::Wait(Some(_))));
+}
+
+#[test]
+fn after_some_frames_for_regions_only_a_tile_is_due() {
+    let regions_only = |core: &mut Core<()>, sequence: u64| {
+        let region = next_cut(core, 0);
+        core.on(published(&region), 0);
+        core.on(answer(&region), 0);
+        core.on(frame(sequence + 1), 0);
+        core.step(0)
+    };
+    let is_newer = |action| matches!(action, Action::End(end) if reason(&end) == StopReason::Newer);
+    let mut core = flying(3);
+    core.on(plan(1, &[Roi, Tile, Tile], 0), 0);
+    core.on(frame(0), 0);
+    assert!((0..4).all(|sequence| is_newer(regions_only(&mut core, sequence))));
+    let Action::Cut(tile) = regions_only(&mut core, 4) else { panic!("a tile is due") };
+    assert_eq!(tile.header.view_index, 1);
+    core.on(published(&tile), 0);
+    core.on(answer(&tile), 0);
+    assert!(is_newer(core.step(0)), "one is enough");
+    assert!(is_newer(regions_only(&mut core, 5)), "frames are counted anew");
+    let mut core = flying(3);
+    core.on(plan(1, &[Roi, ViewKind::Proposal], 0), 0);
+    core.on(frame(0), 0);
+    assert!((0..6).all(|sequence| is_newer(regions_only(&mut core, sequence))), "nothing else is");
 }
 
 #[test]
@@ -240,7 +265,7 @@ fn a_lossless_frame_is_cut_as_far_as_its_costs_allow_whatever_the_time() {
             window_ms_per_megapixel: 2.0,
             ..Costs::default()
         };
-        let clock = Clock::Virtual(VirtualBudget::new(costs, false));
+        let clock = FrameClock::Virtual(VirtualBudget::new(costs, false));
         let mut core = core(Flow::Lossless, clock, 2);
         core.on(plan(1, &[&[Roi][..], &[Tile; 20][..]].concat(), 0), 0);
         let mut cut = Vec::new();

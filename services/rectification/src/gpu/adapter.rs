@@ -2,8 +2,16 @@
 
 use wgpu::{DeviceType, Features};
 
-use super::memory::Memory;
 use crate::rectifier::RectifyError;
+
+/// Whose memory the shader works in.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Memory {
+    /// The processor's: what either writes the other reads in place.
+    Shared,
+    /// The device's own: what it reads or writes is copied to or from memory that both see.
+    Apart,
+}
 
 /// A Vulkan device that was found, not yet opened.
 #[derive(Debug)]
@@ -17,9 +25,6 @@ pub struct FoundAdapter {
 impl FoundAdapter {
     /// The best Vulkan device of this machine: a discrete graphics processor before an integrated,
     /// a virtual and an unknown one, software last.
-    ///
-    /// # Errors
-    /// [`RectifyError::NoAdapter`].
     pub fn best() -> Result<Self, RectifyError> {
         let mut descriptor = wgpu::InstanceDescriptor::new_without_display_handle();
         descriptor.backends = wgpu::Backends::VULKAN;
@@ -33,7 +38,7 @@ impl FoundAdapter {
     }
 
     /// The device's name, as its driver gives it.
-    pub fn name(&self) -> &str {
+    pub(crate) fn name(&self) -> &str {
         &self.info.name
     }
 

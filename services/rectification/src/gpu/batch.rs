@@ -4,28 +4,28 @@ use flockeye_geometry::camera::Camera;
 use flockeye_imaging::sphere::Cut;
 use wgpu::{BindGroup, Buffer, BufferUsages, BufferView, MapMode, SubmissionIndex};
 
+use super::adapter::Memory;
 use super::device::{Device, Mapped};
-use super::layout::{BatchHeader, Layout, ViewParameters};
-use super::memory::Memory;
-use super::shader::Interpolations;
+use super::layout::{BatchLayout, ViewParameters};
 use crate::rectifier::RectifyError;
 
 /// Views of a frame, and the buffers they are cut with, which outlive them.
 #[derive(Debug)]
 pub(super) struct Batch {
-    cuts: Vec<Cut>,
-    layout: Layout,
+    pub(super) cuts: Vec<Cut>,
+    layout: BatchLayout,
     views: Buffer,
     output: Buffer,
     /// Where the output is copied to, if it cannot be read in place.
     readback: Option<Buffer>,
-    bind_group: Option<BindGroup>,
-    result: Pixels,
+    /// `None` where a buffer has been replaced since it was bound.
+    pub(super) bind_group: Option<BindGroup>,
+    result: CutOutput,
 }
 
 /// What has become of the output.
 #[derive(Debug)]
-enum Pixels {
+enum CutOutput {
     None,
     Awaited { mapped: Mapped, work: SubmissionIndex },
     There(BufferView),
@@ -33,7 +33,7 @@ enum Pixels {
 
 impl Batch {
     pub(super) fn new(device: &Device) -> Self {
-        let small = size_of::<BatchHeader>() + size_of::<ViewParameters>();
+        let small = size_of::<[u32; 4]>() + size_of::<ViewParameters>();
         let buffer = |usage| device.buffer(small as u64, usage);
         let (output, readback) = match device.memory {
             Memory::Shared => (buffer(BufferUsages::STORAGE | BufferUsages::MAP_READ), None),
@@ -44,36 +44,26 @@ impl Batch {
         };
         Self {
             cuts: Vec::new(),
-            layout: Layout::default(),
+            layout: BatchLayout::default(),
             views: buffer(BufferUsages::STORAGE | BufferUsages::COPY_DST),
             output,
             readback,
             bind_group: None,
-            result: Pixels::None,
+            result: CutOutput::None,
         }
-    }
-
-    /// Its views.
-    pub(super) fn cuts(&self) -> &[Cut] {
-        &self.cuts
     }
 
     /// Forgets its views.
     pub(super) fn clear(&mut self) {
         self.cuts.clear();
-        self.layout = Layout::default();
+        self.layout = BatchLayout::default();
         // The view of the memory goes before the memory, whether it is mapped or only awaited.
-        match std::mem::replace(&mut self.result, Pixels::None) {
-            Pixels::None => return,
-            Pixels::Awaited { .. } => {}
-            Pixels::There(bytes) => drop(bytes),
+        match std::mem::replace(&mut self.result, CutOutput::None) {
+            CutOutput::None => return,
+            CutOutput::Awaited { .. } => {}
+            CutOutput::There(bytes) => drop(bytes),
         }
         self.readable().unmap();
-    }
-
-    /// Has the buffers bound anew: the frame's have been replaced.
-    pub(super) fn unbind(&mut self) {
-        self.bind_group = None;
     }
 
     fn readable(&self) -> &Buffer {
@@ -92,7 +82,7 @@ impl Batch {
         let fitting = cuts.iter().take_while(|cut| self.layout.add(cut, camera, most)).count();
         self.cuts.extend_from_slice(&cuts[..fitting]);
         if let (0, Some(cut)) = (fitting, cuts.first()) {
-            device.check_fits("bytes of a view", Layout::bytes_alone(cut.view.size_px))?;
+            device.check_fits("bytes of a view", BatchLayout::bytes_alone(cut.view.size_px))?;
         }
         Ok(fitting)
     }
@@ -107,7 +97,7 @@ impl Batch {
         luma: &Buffer,
     ) -> SubmissionIndex {
         let bytes = self.layout.bytes();
-        let parameters: &[u8] = bytemuck::cast_slice(self.layout.views());
+        let parameters: &[u8] = bytemuck::cast_slice(&self.layout.views);
         let header = self.layout.header();
         let header = bytemuck::bytes_of(&header);
         let mut has_grown = device.grow(&mut self.views, (header.len() + parameters.len()) as u64);
@@ -129,7 +119,7 @@ impl Batch {
             pass.set_bind_group(0, &*bind_group, &[]);
             let most = device.device.limits().max_compute_workgroups_per_dimension;
             let [across, down] = self.layout.workgroups(most);
-            pass.set_pipeline(device.shader.pipeline(camera, Interpolations::of(&self.cuts)));
+            pass.set_pipeline(device.shader.pipeline(camera, &self.cuts));
             pass.dispatch_workgroups(across, down, 1);
         }
         if let Some(readback) = &self.readback {
@@ -137,7 +127,7 @@ impl Batch {
         }
         let work = device.queue.submit([encoder.finish()]);
         let mapped = device.map(self.readable(), MapMode::Read, bytes);
-        self.result = Pixels::Awaited { mapped, work: work.clone() };
+        self.result = CutOutput::Awaited { mapped, work: work.clone() };
         work
     }
 
@@ -148,14 +138,15 @@ impl Batch {
         index: usize,
         out: &mut [u8],
     ) -> Result<(), RectifyError> {
-        if let Pixels::Awaited { mapped, work } = &self.result {
+        if let CutOutput::Awaited { mapped, work } = &self.result {
             device.wait(mapped, Some(work))?;
             let bytes = self.readable().get_mapped_range(..self.layout.bytes());
-            self.result = Pixels::There(bytes.map_err(|error| device.give_up(error.to_string()))?);
+            self.result =
+                CutOutput::There(bytes.map_err(|error| device.give_up(error.to_string()))?);
         }
         match &self.result {
-            Pixels::There(bytes) => self.layout.copy_out(index, bytes, out),
-            Pixels::None | Pixels::Awaited { .. } => {
+            CutOutput::There(bytes) => self.layout.copy_out(index, bytes, out),
+            CutOutput::None | CutOutput::Awaited { .. } => {
                 return Err(device.give_up("it was given no work".into()));
             }
         }

@@ -6,8 +6,7 @@ use std::time::Duration;
 use flockeye_runtime::lock::lock;
 use wgpu::{BufferAsyncError, BufferUsages, Features, Limits, MapMode, SubmissionIndex};
 
-use super::adapter::FoundAdapter;
-use super::memory::Memory;
+use super::adapter::{FoundAdapter, Memory};
 use super::shader::Shader;
 use crate::rectifier::RectifyError;
 
@@ -108,7 +107,6 @@ impl Device {
         Ok(())
     }
 
-    /// A buffer.
     pub(super) fn buffer(&self, bytes: u64, usage: BufferUsages) -> wgpu::Buffer {
         self.device.create_buffer(&wgpu::BufferDescriptor {
             label: None,

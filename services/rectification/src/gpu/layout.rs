@@ -63,8 +63,8 @@ impl SphereUniform {
             &CameraModel::Stereographic { field_rad } => {
                 let plane = Stereographic::new(width, height, field_rad);
                 Self {
-                    plane_scale: (2.0 * plane.radius_px()) as f32,
-                    plane_circle: plane.circle_px() as f32,
+                    plane_scale: (2.0 * plane.radius_px) as f32,
+                    plane_circle: plane.circle_px as f32,
                     ..sphere
                 }
             }
@@ -99,15 +99,6 @@ impl LensUniform {
     }
 }
 
-/// What `Batch` of the shader begins with.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Pod, Zeroable)]
-#[repr(C)]
-pub(super) struct BatchHeader {
-    views: u32,
-    tiles: u32,
-    reserved: [u32; 2],
-}
-
 /// `View` of the shader.
 #[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
 #[repr(C)]
@@ -139,13 +130,13 @@ pub(super) struct ViewParameters {
 /// Views laid out one behind the other: in the output by whole words, in the work by whole
 /// workgroups.
 #[derive(Debug, Default)]
-pub(super) struct Layout {
-    views: Vec<ViewParameters>,
+pub(super) struct BatchLayout {
+    pub(super) views: Vec<ViewParameters>,
     words: u32,
     tiles: u32,
 }
 
-impl Layout {
+impl BatchLayout {
     /// Adds a view, unless the output would have more than `max_bytes` then.
     pub(super) fn add(&mut self, cut: &Cut, camera: &Camera, max_bytes: u64) -> bool {
         let size = cut.view.size_px;
@@ -178,14 +169,10 @@ impl Layout {
         4 * u64::from(self.words)
     }
 
-    /// What precedes the views in their buffer.
-    pub(super) fn header(&self) -> BatchHeader {
-        BatchHeader { views: self.views.len() as u32, tiles: self.tiles, reserved: [0; 2] }
-    }
-
-    /// The views' parameters.
-    pub(super) fn views(&self) -> &[ViewParameters] {
-        &self.views
+    /// What precedes the views in their buffer, as `Batch` of the shader begins: how many views and
+    /// workgroups there are, and two words of padding.
+    pub(super) fn header(&self) -> [u32; 4] {
+        [self.views.len() as u32, self.tiles, 0, 0]
     }
 
     /// Workgroups across and down, at most `most` either way; a few more than are needed, where one
@@ -261,8 +248,8 @@ mod tests {
         Cut::bilinear(View::looking_at(&Vector3::x_axis(), 1.0, size))
     }
 
-    fn layout(sizes: &[u32]) -> Layout {
-        let mut layout = Layout::default();
+    fn layout(sizes: &[u32]) -> BatchLayout {
+        let mut layout = BatchLayout::default();
         for &size in sizes {
             assert!(layout.add(&at(size), &CAMERA, u64::MAX));
         }
@@ -296,15 +283,15 @@ mod tests {
 
     #[test]
     fn what_does_not_fit_is_left_out() {
-        let mut layout = Layout::default();
+        let mut layout = BatchLayout::default();
         assert!(layout.add(&at(8), &CAMERA, 100));
         assert!(!layout.add(&at(8), &CAMERA, 100));
         assert_eq!((layout.views.len(), layout.bytes()), (1, 64));
         // A cut that does not fit alone is refused by the same measure.
         for size in [5, 8, 33] {
-            let alone = Layout::bytes_alone(size);
-            assert!(Layout::default().add(&at(size), &CAMERA, alone));
-            assert!(!Layout::default().add(&at(size), &CAMERA, alone - 1));
+            let alone = BatchLayout::bytes_alone(size);
+            assert!(BatchLayout::default().add(&at(size), &CAMERA, alone));
+            assert!(!BatchLayout::default().add(&at(size), &CAMERA, alone - 1));
         }
     }
 

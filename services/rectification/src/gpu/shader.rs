@@ -4,26 +4,6 @@ use flockeye_geometry::camera::{Camera, CameraModel};
 use flockeye_imaging::sphere::{Cut, Interpolation};
 use wgpu::{BindGroupLayout, BufferBindingType, ComputePipeline, ShaderStages};
 
-/// How the views of a batch are interpolated, as the shader counts it.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Interpolations {
-    Bilinear = 0,
-    Cubic = 1,
-    Both = 2,
-}
-
-impl Interpolations {
-    /// The parameters of some views.
-    pub(super) fn of(cuts: &[Cut]) -> Self {
-        let is_cubic = |cut: &Cut| cut.interpolation == Interpolation::Cubic;
-        match (cuts.iter().any(is_cubic), cuts.iter().all(is_cubic)) {
-            (false, _) => Self::Bilinear,
-            (true, true) => Self::Cubic,
-            (true, false) => Self::Both,
-        }
-    }
-}
-
 /// The shader's pipelines, by the model and the interpolations, and how buffers are bound to them.
 #[derive(Debug)]
 pub(super) struct Shader {
@@ -77,18 +57,20 @@ impl Shader {
         Self { bindings, pipelines }
     }
 
-    /// The pipeline for frames of a camera and views of these interpolations.
-    pub(super) fn pipeline(
-        &self,
-        camera: &Camera,
-        interpolations: Interpolations,
-    ) -> &ComputePipeline {
+    /// The pipeline for frames of a camera and views that are interpolated as `cuts` are.
+    pub(super) fn pipeline(&self, camera: &Camera, cuts: &[Cut]) -> &ComputePipeline {
         // As the shader counts them.
         let model = match camera.model() {
             CameraModel::Equirectangular { .. } => 0,
             CameraModel::DualFisheye(_) => 1,
             CameraModel::Stereographic { .. } => 2,
         };
-        &self.pipelines[model][interpolations as usize]
+        let is_cubic = |cut: &Cut| cut.interpolation == Interpolation::Cubic;
+        let interpolations = match (cuts.iter().any(is_cubic), cuts.iter().all(is_cubic)) {
+            (false, _) => 0,
+            (true, true) => 1,
+            (true, false) => 2,
+        };
+        &self.pipelines[model][interpolations]
     }
 }

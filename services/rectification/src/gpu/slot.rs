@@ -1,21 +1,22 @@
 //! One frame on the device, and the views that are cut from it.
 
+use flockeye_contract::FrameOrder;
 use flockeye_imaging::sphere::{Cut, SphereImage};
 use wgpu::{Buffer, BufferUsages, MapMode, SubmissionIndex};
 
+use super::adapter::Memory;
 use super::batch::Batch;
 use super::device::Device;
 use super::layout::SphereUniform;
-use super::memory::Memory;
-use crate::rectifier::{FrameKey, RectifyError};
+use crate::rectifier::RectifyError;
 
 /// What may be too large.
 pub(super) const FRAME: &str = "bytes of a frame";
 
 /// A frame, and the buffers it lies in, which outlive it.
 #[derive(Debug)]
-pub(super) struct Slot {
-    frame: Option<(FrameKey, SphereUniform)>,
+pub(super) struct FrameSlot {
+    frame: Option<(FrameOrder, SphereUniform)>,
     /// When it was last used, by the rectifier's count of calls.
     pub used: u64,
     sphere: Buffer,
@@ -24,12 +25,12 @@ pub(super) struct Slot {
     staging: Option<Buffer>,
     batches: Vec<Batch>,
     /// How many of them have views of this frame.
-    filled: usize,
+    pub(super) filled: usize,
     /// The last work on the frame's buffers.
     work: Option<SubmissionIndex>,
 }
 
-impl Slot {
+impl FrameSlot {
     pub(super) fn new(device: &Device) -> Self {
         let luma = match device.memory {
             Memory::Shared => BufferUsages::STORAGE | BufferUsages::MAP_WRITE,
@@ -49,8 +50,7 @@ impl Slot {
         }
     }
 
-    /// Whether the slot has this frame.
-    pub(super) fn holds(&self, frame: FrameKey, sphere: &SphereImage<'_>) -> bool {
+    pub(super) fn holds(&self, frame: FrameOrder, sphere: &SphereImage<'_>) -> bool {
         self.frame == Some((frame, SphereUniform::new(sphere.camera(), sphere.stride())))
     }
 
@@ -64,7 +64,7 @@ impl Slot {
     pub(super) fn upload(
         &mut self,
         device: &Device,
-        frame: FrameKey,
+        frame: FrameOrder,
         sphere: &SphereImage<'_>,
     ) -> Result<(), RectifyError> {
         self.frame = None;
@@ -78,7 +78,7 @@ impl Slot {
         let bytes = (length as u64).next_multiple_of(wgpu::COPY_BUFFER_ALIGNMENT);
         device.check_fits(FRAME, bytes)?;
         if device.grow(&mut self.luma, bytes) {
-            self.batches.iter_mut().for_each(Batch::unbind);
+            self.batches.iter_mut().for_each(|batch| batch.bind_group = None);
         }
         if let Some(staging) = &mut self.staging {
             device.grow(staging, bytes);
@@ -140,13 +140,8 @@ impl Slot {
 
     fn find(&self, cut: &Cut) -> Option<(usize, usize)> {
         self.batches[..self.filled].iter().enumerate().find_map(|(batch, held)| {
-            let index = held.cuts().iter().position(|other| other == cut)?;
+            let index = held.cuts.iter().position(|other| other == cut)?;
             Some((batch, index))
         })
-    }
-
-    #[cfg(test)]
-    pub(super) fn batches(&self) -> usize {
-        self.filled
     }
 }

@@ -2,15 +2,16 @@
 
 use std::sync::{Mutex, MutexGuard};
 
+use flockeye_contract::FrameOrder;
 use flockeye_geometry::camera::Camera;
 use flockeye_geometry::view::View;
 use flockeye_runtime::health::SharedCounters;
 use flockeye_runtime::lock::lock;
 use nalgebra::{Unit, Vector3};
 
-use super::memory::Memory;
+use super::adapter::Memory;
 use super::*;
-use crate::standby::Standby;
+use crate::cutting::Cutter;
 
 const CAMERA: Camera = Camera::equirectangular(64, 32);
 
@@ -32,8 +33,8 @@ fn gpu(memory: Option<Memory>) -> Option<GpuRectifier> {
     Some(GpuRectifier::on(device, &found))
 }
 
-fn key(sequence: u64) -> FrameKey {
-    FrameKey { source_generation: 0, epoch: 0, sequence }
+fn key(sequence: u64) -> FrameOrder {
+    (0, 0, sequence)
 }
 
 fn look(x: f64, size_px: u32) -> Cut {
@@ -88,9 +89,9 @@ fn what_was_ordered_is_cut_together_and_what_was_not_alone() {
         gpu.cut(key(0), &sphere(&pixels), &cut, &mut out).unwrap();
     }
     let slot = gpu.slot_of(key(0), &sphere(&pixels)).unwrap();
-    assert_eq!(gpu.slots[slot].batches(), 1);
+    assert_eq!(gpu.slots[slot].filled, 1);
     gpu.cut(key(0), &sphere(&pixels), &look(0.7, 32), &mut out).unwrap();
-    assert_eq!((gpu.slots[slot].batches(), out), (2, [70; 32 * 32]));
+    assert_eq!((gpu.slots[slot].filled, out), (2, [70; 32 * 32]));
 }
 
 #[test]
@@ -102,7 +103,7 @@ fn views_are_divided_where_no_output_holds_them_all() {
     let cuts = [0.0, 0.5, 0.7, 0.9, 1.1].map(|x| look(x, 32));
     gpu.order(key(0), &sphere(&pixels), &cuts).unwrap();
     let slot = gpu.slot_of(key(0), &sphere(&pixels)).unwrap();
-    assert_eq!(gpu.slots[slot].batches(), 3);
+    assert_eq!(gpu.slots[slot].filled, 3);
     for cut in cuts {
         let mut out = [0; 32 * 32];
         gpu.cut(key(0), &sphere(&pixels), &cut, &mut out).unwrap();
@@ -159,21 +160,21 @@ fn a_device_lost_between_two_views_of_a_frame_costs_no_view() {
         let Some(gpu) = gpu(Some(memory)) else { return };
         let device = gpu.device.device.clone();
         let counters = SharedCounters::default();
-        let mut rectifier = Standby::new(Box::new(gpu), 1, counters);
+        let mut cutter = Cutter::new(Box::new(gpu), 1, counters, CAMERA);
         let pixels = plain(70);
         let cuts = [look(0.0, 33), look(0.5, 33), look(0.7, 33)];
-        rectifier.order(key(0), &sphere(&pixels), &cuts[..2]).unwrap();
-        rectifier.prepare(key(1), &sphere(&pixels)).unwrap();
+        cutter.attempt(|active| active.order(key(0), &sphere(&pixels), &cuts[..2])).unwrap();
+        cutter.attempt(|active| active.prepare(key(1), &sphere(&pixels))).unwrap();
         for (k, cut) in cuts.iter().enumerate() {
             let mut out = [0; 33 * 33];
-            rectifier.cut(key(0), &sphere(&pixels), cut, &mut out).unwrap();
+            cutter.attempt(|active| active.cut(key(0), &sphere(&pixels), cut, &mut out)).unwrap();
             assert_eq!(out, [70; 33 * 33]);
             if k == 0 {
-                assert!(rectifier.name().starts_with("gpu"));
+                assert!(cutter.active.name().starts_with("gpu"));
                 device.destroy();
             }
         }
-        assert!(rectifier.name().starts_with("cpu"));
+        assert!(cutter.active.name().starts_with("cpu"));
     }
 }
 

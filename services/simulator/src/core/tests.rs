@@ -25,11 +25,11 @@ fn truth(world: &mut World, frame: u64) -> FrameTruth {
 }
 
 /// A frame that is handed over at `handover_ns`, the next one 33 ms later.
-fn drawn(world: &mut World, frame: u64, handover_ns: i64) -> Delivery {
+fn drawn(world: &mut World, frame: u64, handover_ns: i64) -> DrawOutcome {
     let exposure_ns = handover_ns - 2 * MS;
     let times = Times { exposure_ns, handover_ns, next_ns: handover_ns + 33 * MS };
     let (luma, truth) = (Vec::new(), truth(world, frame));
-    Delivery::Frame(Box::new(DrawnFrame { luma, truth, times, skipped: 0, took_ns: MS }))
+    DrawOutcome::Frame(Box::new(DrawnFrame { luma, truth, times, skipped: 0, took_ns: MS }))
 }
 
 #[test]
@@ -45,7 +45,7 @@ fn a_lossless_run_draws_each_frame_once_and_ends() {
 fn a_frame_drawn_ahead_is_handed_over_at_its_time() {
     let (mut core, mut world) = core(&[]);
     assert!(matches!(core.step(0), Action::Await));
-    assert_eq!(core.on(Delivery::NotYet), 0);
+    assert_eq!(core.on(DrawOutcome::NotYet), 0);
     assert!(matches!(core.step(0), Action::Await));
     core.on(drawn(&mut world, 0, 50 * MS));
     assert!(matches!(core.step(39 * MS), Action::WaitUntil(at_ns) if at_ns == 40 * MS));
@@ -65,8 +65,8 @@ fn a_frame_is_left_out_once_the_next_one_is_due() {
 #[test]
 fn frames_left_out_at_the_end_count_once() {
     let (mut core, _) = core(&["simulator.frames=9"]);
-    assert_eq!(core.last_frame(), 8);
-    assert_eq!(core.on(Delivery::Over { skipped: 4 }), 4);
+    assert_eq!(core.last_frame, 8);
+    assert_eq!(core.on(DrawOutcome::Over { skipped: 4 }), 4);
     assert!(matches!(core.step(0), Action::Finish));
     assert!(matches!(core.step(0), Action::Finish), "nothing is awaited any more");
 }

@@ -3,13 +3,14 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 
+mod edges;
 mod sheet;
 
 use std::f64::consts::{FRAC_PI_2, PI};
 
 use flockeye_dictionary::Dictionary;
 use flockeye_geometry::body::{Bodies, Body, Marker, squares};
-use flockeye_geometry::camera::SpherePixel;
+use flockeye_geometry::camera::{Camera, SpherePixel};
 use flockeye_simulator::{Attitude, FrameTruth, Moment, Placement, World, WorldParameters};
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 
@@ -20,20 +21,7 @@ use crate::sheet::{
 
 impl Sheet {
     fn world(&self, count: u32) -> World {
-        let parameters = WorldParameters {
-            camera: self.camera(),
-            iso: 0,
-            observer_yaw_rate_deg_s: 0.0,
-            airframes: false,
-            ..Default::default()
-        };
-        self.world_of(count, parameters)
-    }
-
-    fn world_of(&self, count: u32, parameters: WorldParameters) -> World {
-        let bodies = (0..count).map(body).collect();
-        let bodies = Bodies::new("DICT_5X5_250".into(), bodies).unwrap();
-        World::new(parameters, &bodies, &Dictionary::of(&bodies).unwrap()).unwrap()
+        world_of(count, quiet(self.camera()))
     }
 
     fn render(&self, world: &mut World, placements: Vec<Placement>) -> (Vec<u8>, FrameTruth) {
@@ -44,6 +32,22 @@ impl Sheet {
     }
 }
 
+/// A still camera without noise.
+fn quiet(camera: Camera) -> WorldParameters {
+    WorldParameters {
+        camera,
+        iso: 0,
+        observer_yaw_rate_deg_s: 0.0,
+        airframes: false,
+        ..Default::default()
+    }
+}
+
+fn world_of(count: u32, parameters: WorldParameters) -> World {
+    let bodies = Bodies::new("DICT_5X5_250".into(), (0..count).map(body).collect()).unwrap();
+    World::new(parameters, &bodies, &Dictionary::of(&bodies).unwrap()).unwrap()
+}
+
 fn body(index: u32) -> Body {
     squares(["alpha", "bravo"][index as usize], 0.0625, 0.05, 17 * index)
 }
@@ -52,21 +56,22 @@ fn still(camera_from_markers: Isometry3<f64>) -> Placement {
     Placement { camera_from_markers, velocity_in_camera: Vector3::zeros() }
 }
 
-/// Linear light between the pixels. Written from the sRGB standard, not taken from the renderer.
+/// Linear light of the pixels. Written from the sRGB standard, not taken from the renderer.
+fn light_of(luma: &[u8]) -> Vec<f64> {
+    let linear = |level: &u8| {
+        let s = f64::from(*level) / 255.0;
+        if s <= 0.04045 { s / 12.92 } else { ((s + 0.055) / 1.055).powf(2.4) }
+    };
+    luma.iter().map(linear).collect()
+}
+
+/// Linear light between the pixels.
 struct Picture<'a> {
     sheet: &'a Sheet,
     light: Vec<f64>,
 }
 
-impl<'a> Picture<'a> {
-    fn of(sheet: &'a Sheet, luma: &[u8]) -> Self {
-        let linear = |level: &u8| {
-            let s = f64::from(*level) / 255.0;
-            if s <= 0.04045 { s / 12.92 } else { ((s + 0.055) / 1.055).powf(2.4) }
-        };
-        Self { sheet, light: luma.iter().map(linear).collect() }
-    }
-
+impl Picture<'_> {
     fn at(&self, [u, v]: [f64; 2]) -> f64 {
         let width = i64::from(self.sheet.width);
         let (column, row) = (u.floor() as i64, v.floor() as i64);
@@ -127,7 +132,7 @@ fn placed([azimuth, elevation]: [f64; 2], turn: [f64; 3]) -> Isometry3<f64> {
 /// Errors of all edges of markers that an eye has before it, as seen from there.
 fn edge_errors(sheet: &Sheet, world: &mut World, placement: Placement) -> Vec<Vec<f64>> {
     let (luma, _) = sheet.render(world, vec![placement]);
-    let picture = Picture::of(sheet, &luma);
+    let picture = Picture { sheet, light: light_of(&luma) };
     let pose = placement.camera_from_markers;
     let eyes = sheet.eyes().into_iter().enumerate();
     eyes.map(|(index, eye)| {
@@ -234,7 +239,7 @@ fn the_same_seed_gives_the_same_bytes_with_every_camera() {
         let sheet = sheet.quartered();
         let world = |seed| {
             let parameters = WorldParameters { seed, camera: sheet.camera(), ..Default::default() };
-            sheet.world_of(2, parameters)
+            world_of(2, parameters)
         };
         let stride = sheet.width as usize + 13;
         let render = |world: &mut World, frame: u64, filler: u8| {

@@ -1,4 +1,5 @@
-//! What was found in a picture, as Foxglove's annotations of it: bodies, markers, regions of interest.
+//! What was found in a picture, as Foxglove's annotations of it: bodies, markers, regions of
+//! interest.
 
 use flockeye_config::Resolved;
 use flockeye_contract::{Track, TrackState};
@@ -11,10 +12,9 @@ use foxglove::messages::{
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
 use super::values::{colour, of_bytes};
-use crate::scene::Ended;
-use crate::wire::Region;
+use crate::scene::EndedFrame;
+use crate::wire::RegionView;
 
-/// Colour of markers.
 const MARKER: [u8; 3] = [0x4d, 0xe3, 0xe3];
 /// Points along the side of a region, whose image is curved.
 const STEPS: u32 = 8;
@@ -22,34 +22,34 @@ const STEPS: u32 = 8;
 /// The annotations of an equirectangular picture of `size` pixels.
 pub fn annotations(
     resolved: &Resolved,
-    ended: &Ended,
+    ended: &EndedFrame,
     size: [u32; 2],
     at: Timestamp,
 ) -> ImageAnnotations {
     let [width, height] = size;
-    let drawing = Drawing { picture: Equirectangular { width, height }, at };
+    let annotator = PictureAnnotator { picture: Equirectangular { width, height }, at };
     let mut drawn = ImageAnnotations { timestamp: Some(at), ..ImageAnnotations::default() };
     for region in &ended.message.regions {
         let outline = outline(region);
-        drawn.points.extend(drawing.lines(&outline, colour(region.target, 0.6), 1.0));
+        drawn.points.extend(annotator.lines(&outline, colour(region.target, 0.6), 1.0));
     }
     for marker in &ended.message.markers {
         let alpha = if marker.doubtful { 0.4 } else { 1.0 };
         let corners = marker.rays.map(|ray| Vector3::from(ray.map(f64::from)));
-        drawn.points.extend(drawing.lines(&corners, of_bytes(MARKER, alpha), 1.0));
+        drawn.points.extend(annotator.lines(&corners, of_bytes(MARKER, alpha), 1.0));
     }
     for track in &ended.tracks {
-        drawing.body(resolved, track, &mut drawn);
+        annotator.body(resolved, track, &mut drawn);
     }
     drawn
 }
 
-struct Drawing {
+struct PictureAnnotator {
     picture: Equirectangular,
     at: Timestamp,
 }
 
-impl Drawing {
+impl PictureAnnotator {
     fn body(&self, resolved: &Resolved, track: &Track, drawn: &mut ImageAnnotations) {
         let Some(body) = resolved.bodies.get(track.target as usize) else { return };
         if track.state == TrackState::Lost.code() {
@@ -80,8 +80,8 @@ impl Drawing {
         }
     }
 
-    /// A closed line through points of the camera frame. Where it leaps from one border of the picture to
-    /// the other, it is cut in two.
+    /// A closed line through points of the camera frame. Where it leaps from one border of the
+    /// picture to the other, it is cut in two.
     fn lines(
         &self,
         points: &[Vector3<f64>],
@@ -122,7 +122,7 @@ impl Drawing {
 }
 
 /// Directions along the sides of a region's view, in the camera frame.
-fn outline(region: &Region) -> Vec<Vector3<f64>> {
+fn outline(region: &RegionView) -> Vec<Vector3<f64>> {
     let camera_from_view =
         UnitQuaternion::from_quaternion(Quaternion::from(region.view.q.map(f64::from)));
     let half = f64::from(region.view.half);
@@ -144,10 +144,10 @@ mod tests {
     #[test]
     fn a_line_over_the_seam_is_cut_in_two() {
         let picture = Equirectangular { width: 200, height: 100 };
-        let drawing = Drawing { picture, at: Timestamp::new(0, 0) };
+        let annotator = PictureAnnotator { picture, at: Timestamp::new(0, 0) };
         let behind = [[-1.0, 0.1, 0.0], [-1.0, -0.1, 0.0], [-1.0, -0.1, 0.1], [-1.0, 0.1, 0.1]];
         let behind = behind.map(Vector3::from);
-        let lines = drawing.lines(&behind, of_bytes([0; 3], 1.0), 1.0);
+        let lines = annotator.lines(&behind, of_bytes([0; 3], 1.0), 1.0);
         assert!(lines.len() >= 2, "{lines:?}");
         for line in &lines {
             let columns: Vec<f64> = line.points.iter().map(|point| point.x).collect();
@@ -155,7 +155,7 @@ mod tests {
             assert!(apart < 10.0, "{columns:?}");
         }
         let ahead = behind.map(|point| Vector3::new(-point.x, point.y, point.z));
-        let lines = drawing.lines(&ahead, of_bytes([0; 3], 1.0), 1.0);
+        let lines = annotator.lines(&ahead, of_bytes([0; 3], 1.0), 1.0);
         assert_eq!((lines.len(), lines[0].points.len()), (1, 5), "it is closed");
     }
 }

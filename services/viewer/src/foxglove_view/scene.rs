@@ -18,8 +18,8 @@ const SIGMAS: f64 = 2.0;
 /// What is not said again in this time is gone, seconds.
 const LIFETIME_S: i32 = 2;
 
-/// What was seen in a frame, as a scene: each neighbour's body and ellipsoid, with its name. Lost ones are
-/// deleted.
+/// What was seen in a frame, as a scene: each neighbour's body and ellipsoid, with its name. Lost
+/// ones are deleted.
 pub fn scene(resolved: &Resolved, tracks: &[Track], at: Timestamp) -> SceneUpdate {
     let mut update = SceneUpdate::default();
     for track in tracks {

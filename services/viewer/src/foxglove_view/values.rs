@@ -6,7 +6,6 @@ use nalgebra::{self as na, Isometry3, UnitQuaternion};
 
 /// Frames of reference.
 pub const OBSERVER: &str = "observer";
-/// See [`OBSERVER`].
 pub const CAMERA: &str = "camera";
 
 /// Colours of bodies, by their numbers: those of the page.
@@ -21,12 +20,10 @@ const COLOURS: [[u8; 3]; 8] = [
     [0xff, 0x87, 0x87],
 ];
 
-/// A body's colour.
 pub fn colour(target: u32, alpha: f64) -> Color {
     of_bytes(COLOURS[target as usize % COLOURS.len()], alpha)
 }
 
-/// A colour of three bytes.
 pub fn of_bytes(rgb: [u8; 3], alpha: f64) -> Color {
     let [r, g, b] = rgb.map(|part| f64::from(part) / 255.0);
     Color { r, g, b, a: alpha }
@@ -39,23 +36,19 @@ pub fn timestamp(unix_ns: i64) -> Timestamp {
     Timestamp::new(seconds, unix_ns.rem_euclid(1_000_000_000) as u32)
 }
 
-/// A vector.
 pub fn vector(v: &na::Vector3<f64>) -> Vector3 {
     Vector3 { x: v.x, y: v.y, z: v.z }
 }
 
-/// A point.
 pub fn point(p: &na::Point3<f64>) -> Point3 {
     Point3 { x: p.x, y: p.y, z: p.z }
 }
 
-/// A rotation.
 pub fn quaternion(rotation: &UnitQuaternion<f64>) -> Quaternion {
     let [x, y, z, w] = xyzw(rotation);
     Quaternion { x, y, z, w }
 }
 
-/// A pose.
 pub fn pose(isometry: &Isometry3<f64>) -> Pose {
     Pose {
         position: Some(vector(&isometry.translation.vector)),

@@ -1,11 +1,12 @@
-//! Plays a recording to Foxglove's clients. All of them are at one place: the protocol's playback control speaks of
-//! the server's.
+//! Plays a recording to Foxglove's clients. All of them are at one place: the protocol's playback
+//! control speaks of the server's.
 
 use std::net::SocketAddr;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
+use flockeye_contract::FrameStamp;
 use foxglove::WebSocketServerHandle;
 use foxglove::websocket::{
     Capability, PlaybackCommand, PlaybackControlRequest, PlaybackState, PlaybackStatus,
@@ -13,14 +14,15 @@ use foxglove::websocket::{
 };
 
 use super::Recorded;
-use super::pictures::Pictures;
-use super::playhead::{Change, Playhead};
+use super::pictures::RecordedPictures;
+use super::playhead::{NewFrames, Playhead};
 use crate::foxglove_view::FoxgloveView;
-use crate::remote::{Move, Next, Remote};
+use crate::remote::{Move, Remote};
 
 /// Period at which the player goes on and looks for requests.
 const TICK: Duration = Duration::from_millis(20);
-/// How often the stages are shown, and what is shown while it is paused: clients may have subscribed since.
+/// How often the stages are shown, and what is shown while it is paused: clients may have
+/// subscribed since.
 const REPORT_PERIOD: Duration = Duration::from_millis(500);
 
 /// What the clients ask for, as the server's threads hear it.
@@ -33,7 +35,7 @@ struct Control {
 
 impl ServerListener for Control {
     fn on_playback_control_request(&self, asked: PlaybackControlRequest) -> Option<PlaybackState> {
-        let (first_ns, last_ns) = self.recorded.span_ns();
+        let Recorded { first_ns, last_ns, .. } = *self.recorded;
         let seek_ns = asked.seek_time.map(|to_ns| to_ns.clamp(first_ns, last_ns));
         if let Some(to_ns) = seek_ns {
             self.remote.ask(Move::Seek(self.recorded.seconds(to_ns)));
@@ -59,7 +61,7 @@ pub fn start(address: SocketAddr, recorded: Arc<Recorded>) -> anyhow::Result<u16
     let (remote, at_ns) = (Arc::<Remote>::default(), Arc::new(AtomicU64::new(recorded.first_ns)));
     let control =
         Control { recorded: recorded.clone(), remote: remote.clone(), at_ns: at_ns.clone() };
-    let (first_ns, last_ns) = recorded.span_ns();
+    let Recorded { first_ns, last_ns, .. } = *recorded;
     let file = recorded.hello.recording.as_ref().map_or("", |recording| recording.file.as_str());
     let (view, server) = FoxgloveView::serve(address, file, &recorded.resolved, |server| {
         server
@@ -69,7 +71,7 @@ pub fn start(address: SocketAddr, recorded: Arc<Recorded>) -> anyhow::Result<u16
     })?;
     let port = server.port();
     let pictures =
-        recorded.images.is_some().then(|| Pictures::new(recorded.clone())).transpose()?;
+        recorded.images.is_some().then(|| RecordedPictures::new(recorded.clone())).transpose()?;
     std::thread::Builder::new().name("player".into()).spawn(move || {
         let head = Playhead::new(recorded.clone());
         let player = FoxglovePlayer { recorded, view, server, head, pictures, speed: 1.0, at_ns };
@@ -83,7 +85,7 @@ struct FoxglovePlayer {
     view: FoxgloveView,
     server: WebSocketServerHandle,
     head: Playhead,
-    pictures: Option<Pictures>,
+    pictures: Option<RecordedPictures>,
     speed: f64,
     at_ns: Arc<AtomicU64>,
 }
@@ -96,30 +98,32 @@ impl FoxglovePlayer {
             let next = remote.next(TICK);
             let now = Instant::now();
             let passed = now - std::mem::replace(&mut last, now);
+            if remote.is_closed() {
+                return;
+            }
             match next {
-                Next::End => return,
-                Next::Do(Move::Seek(to_s), _) => {
+                Some((Move::Seek(to_s), _)) => {
                     self.head.seek(self.recorded.time_ns(to_s));
                     self.show(1);
                 }
-                Next::Do(Move::Play(speed), _) => {
+                Some((Move::Play(speed), _)) => {
                     if speed > 0.0 && self.head.is_at_end() {
                         self.head.seek(0);
                     }
                     self.speed = speed;
                 }
-                Next::Do(Move::Step(_), _) => {}
-                Next::GoOn if !self.view.wanted().anything => continue,
-                Next::GoOn if self.speed > 0.0 => self.go_on(passed),
-                Next::GoOn => {}
+                Some((Move::Step(_), _)) => {}
+                None if !self.view.wanted().anything => continue,
+                None if self.speed > 0.0 => self.go_on(passed),
+                None => {}
             }
             if reported_at.elapsed() >= REPORT_PERIOD {
                 reported_at = Instant::now();
                 if self.speed == 0.0 {
                     self.show(1);
                 }
-                let at_ns = self.head.at_ns();
-                let stages = self.head.tape().stages(at_ns);
+                let at_ns = self.head.at_ns;
+                let stages = self.head.tape.stages(at_ns);
                 self.view.set_time(at_ns);
                 self.view.stages(&stages);
             }
@@ -128,16 +132,16 @@ impl FoxglovePlayer {
 
     fn go_on(&mut self, passed: Duration) {
         let on_ns = passed.as_nanos() as f64 * self.speed;
-        let change = self.head.advance(self.head.at_ns().saturating_add(on_ns as u64));
+        let change = self.head.advance(self.head.at_ns.saturating_add(on_ns as u64));
         match change {
-            Change::Anew => self.show(1),
-            Change::Added(count) => self.show(count),
+            NewFrames::All => self.show(1),
+            NewFrames::Last(count) => self.show(count),
         }
         if self.head.is_at_end() {
             self.speed = 0.0;
             self.server.broadcast_playback_state(PlaybackState {
                 status: PlaybackStatus::Ended,
-                current_time: self.head.at_ns(),
+                current_time: self.head.at_ns,
                 playback_speed: 1.0,
                 did_seek: false,
                 request_id: None,
@@ -147,12 +151,12 @@ impl FoxglovePlayer {
 
     /// Sends so many frames, up to the one that is shown, and the picture of that.
     fn show(&mut self, frames: usize) {
-        self.at_ns.store(self.head.at_ns(), Ordering::Relaxed);
-        self.server.broadcast_time(self.head.at_ns());
-        let recent = self.head.recent();
+        self.at_ns.store(self.head.at_ns, Ordering::Relaxed);
+        self.server.broadcast_time(self.head.at_ns);
+        let recent = &self.head.recent;
         for seen in recent.iter().skip(recent.len().saturating_sub(frames)) {
-            self.view.set_time(seen.at_ns);
-            self.view.frame(&seen.ended);
+            self.view.set_time(seen.utc_ns);
+            self.view.frame(seen);
         }
         let wanted = self.view.wanted();
         if frames == 0 || !(wanted.pictures || wanted.closeups) {
@@ -161,17 +165,13 @@ impl FoxglovePlayer {
         let (Some(pictures), Some(seen)) = (&mut self.pictures, self.head.current()) else {
             return;
         };
-        let of = |stamp: &flockeye_contract::FrameStamp| {
-            recent.iter().map(|seen| &seen.ended).find(|ended| ended.stamp.is_same_frame(stamp))
-        };
+        let of = |stamp: &FrameStamp| recent.iter().find(|seen| seen.stamp.is_same_frame(stamp));
         // A picture of an earlier frame has been shown with it.
-        let nearest = pictures.nearest(&seen.ended.stamp, seen.at_ns);
-        if self.speed > 0.0
-            && nearest.is_none_or(|nearest| !nearest.is_same_frame(&seen.ended.stamp))
-        {
+        let nearest = pictures.nearest(&seen.stamp, seen.utc_ns);
+        if self.speed > 0.0 && nearest.is_none_or(|nearest| !nearest.is_same_frame(&seen.stamp)) {
             return;
         }
-        if let Some(picture) = pictures.picture(&seen.ended.stamp, seen.at_ns, of) {
+        if let Some(picture) = pictures.picture(&seen.stamp, seen.utc_ns, of) {
             self.view.picture(&picture.stamp, of(&picture.stamp), picture.size, &picture.jpeg);
             for (head, jpeg) in &picture.closeups {
                 self.view.closeup(&picture.stamp, head.target, jpeg);

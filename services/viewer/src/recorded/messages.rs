@@ -12,17 +12,17 @@ use flockeye_recording::{
     ChannelKind, ContractMessage, IndexedMessage, IndexedRecording, TopicLayout, layouts,
 };
 
-use crate::scene::Scene;
-use crate::stages::StageReports;
+use crate::scene::PageScene;
 
 /// Which channels have messages of the contract, as this Flockeye knows them.
-pub struct Channels {
+pub struct ContractChannels {
     known: BTreeMap<u16, (TopicId, TopicLayout)>,
     foreign: Vec<(TopicId, &'static str)>,
 }
 
-impl Channels {
-    /// Reads the channels of a recording. A topic counts if its messages are defined in the file as they are here.
+impl ContractChannels {
+    /// Reads the channels of a recording. A topic counts if its messages are defined in the file as
+    /// they are here.
     pub fn of(recording: &IndexedRecording) -> Self {
         let (mut known, mut foreign) = (BTreeMap::new(), Vec::new());
         for (topic, layout) in TOPICS.iter().zip(layouts()) {
@@ -75,13 +75,11 @@ impl Channels {
         )
     }
 
-    /// A message of tracks.
     pub fn tracks(&self, message: &IndexedMessage) -> Option<(TrackHeader, Vec<Track>)> {
         let (_, layout) = self.known.get(&message.channel)?;
         read::<Tracks>(layout, message)
     }
 
-    /// The header of a frame.
     pub fn frame(&self, message: &IndexedMessage) -> Option<FrameHeader> {
         let (_, layout) = self.known.get(&message.channel)?;
         let ContractMessage { header, payload_bytes, .. } = decode(layout, &message.bytes).ok()?;
@@ -94,8 +92,7 @@ impl Channels {
     pub fn hand_on(
         &self,
         message: &IndexedMessage,
-        scene: &mut Scene,
-        stages: &mut StageReports,
+        scene: &mut PageScene,
     ) -> Option<(TrackHeader, Vec<Track>)> {
         let (topic, layout) = self.known.get(&message.channel)?;
         match topic {
@@ -113,10 +110,10 @@ impl Channels {
                 let (header, bodies) = read::<Truths>(layout, message)?;
                 scene.truth(&header, &bodies);
             }
-            TopicId::Healths => stages.health(&read::<Healths>(layout, message)?.0),
+            TopicId::Healths => scene.health(&read::<Healths>(layout, message)?.0),
             TopicId::Peers => {
-                let (header, sightings) = read::<Peers>(layout, message)?;
-                scene.sightings(&header, &sightings);
+                let (_, sightings) = read::<Peers>(layout, message)?;
+                scene.sightings(&sightings);
             }
             TopicId::Swarms => {
                 let (header, poses) = read::<Swarms>(layout, message)?;

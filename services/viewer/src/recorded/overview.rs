@@ -92,7 +92,7 @@ impl<'r> OverviewMaker<'r> {
     }
 
     fn part(&self, utc_ns: u64) -> usize {
-        let (first_ns, last_ns) = self.recorded.span_ns();
+        let Recorded { first_ns, last_ns, .. } = *self.recorded;
         let span_ns = u128::from(last_ns.saturating_sub(first_ns).max(1));
         let place = u128::from(utc_ns.saturating_sub(first_ns)) * PARTS as u128 / span_ns;
         // The last message of all is in the last part.

@@ -4,6 +4,7 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 
 use flockeye_contract::{FrameHeader, FrameOrder, FrameStamp, TopicId};
+use flockeye_recording::RecordingError;
 use flockeye_recording::channel::FRAME_IMAGES;
 use flockeye_recording::images::decode_compressed;
 use opencv::prelude::*;
@@ -12,7 +13,7 @@ use super::Recorded;
 use crate::closeup::CloseupMaker;
 use crate::frame_reader::is_shown_closely;
 use crate::picture::{PictureMaker, decode, jpeg_size};
-use crate::scene::Ended;
+use crate::scene::EndedFrame;
 use crate::wire::{self, CloseupHead};
 
 /// Chunks whose pictures are kept: that of a frame, the one before, and one to go on with.
@@ -20,40 +21,31 @@ const MOST_CHUNKS: usize = 3;
 /// Neighbours of a picture that are shown closely at most.
 const MOST_CLOSEUPS: usize = 4;
 
-/// A recorded picture.
-#[derive(Debug)]
-struct Found {
-    header: FrameHeader,
-    jpeg: Vec<u8>,
-}
+/// The header of a frame, and its recorded picture, a JPEG.
+type FramePicture = (FrameHeader, Vec<u8>);
 
 /// A picture as a page shows it.
 #[derive(Debug)]
-pub struct Picture {
+pub struct PagePicture {
     /// The frame that it is of.
     pub stamp: FrameStamp,
     /// Its sides, pixels.
     pub size: [u32; 2],
-    /// The picture.
     pub jpeg: Vec<u8>,
     /// Close-ups with their numbers of bodies.
     pub closeups: Vec<(CloseupHead, Vec<u8>)>,
 }
 
-/// Finds and makes pictures.
-pub struct Pictures {
+pub struct RecordedPictures {
     recorded: Arc<Recorded>,
     maker: PictureMaker,
     closeups: Option<CloseupMaker>,
-    chunks: VecDeque<(usize, Arc<Vec<Found>>)>,
+    chunks: VecDeque<(usize, Arc<Vec<FramePicture>>)>,
     trouble: Option<String>,
 }
 
-impl Pictures {
+impl RecordedPictures {
     /// Opens the pictures of a recording.
-    ///
-    /// # Errors
-    /// OpenCV has no memory.
     pub fn new(recorded: Arc<Recorded>) -> anyhow::Result<Self> {
         let maker = PictureMaker::new(&recorded.resolved.camera)?;
         // A dictionary that is a file may be gone.
@@ -70,7 +62,7 @@ impl Pictures {
 
     /// The frame of the newest picture up to this frame, which ended at that time.
     pub fn nearest(&mut self, frame: &FrameStamp, at_ns: u64) -> Option<FrameStamp> {
-        self.find(frame.order(), at_ns).map(|(chunk, place)| chunk[place].header.stamp)
+        self.find(frame.order(), at_ns).map(|(chunk, place)| chunk[place].0.stamp)
     }
 
     /// Reads a picture. `of`: what ended in a frame that is known, for close-ups.
@@ -78,30 +70,32 @@ impl Pictures {
         &mut self,
         frame: &FrameStamp,
         at_ns: u64,
-        of: impl Fn(&FrameStamp) -> Option<&'e Ended>,
-    ) -> Option<Picture> {
+        of: impl Fn(&FrameStamp) -> Option<&'e EndedFrame>,
+    ) -> Option<PagePicture> {
         let (chunk, place) = self.find(frame.order(), at_ns)?;
-        let found = &chunk[place];
-        match self.make(found, of(&found.header.stamp)) {
+        let (header, jpeg) = &chunk[place];
+        match self.make(header, jpeg, of(&header.stamp)) {
             Ok(picture) => Some(picture),
             Err(error) => {
-                self.trouble = Some(format!(
-                    "the picture of frame {}: {error:#}",
-                    found.header.stamp.sequence
-                ));
+                let sequence = header.stamp.sequence;
+                self.trouble = Some(format!("the picture of frame {sequence}: {error:#}"));
                 None
             }
         }
     }
 
-    fn make(&mut self, found: &Found, ended: Option<&Ended>) -> anyhow::Result<Picture> {
-        let Found { header, jpeg } = found;
+    fn make(
+        &mut self,
+        header: &FrameHeader,
+        jpeg: &Vec<u8>,
+        ended: Option<&EndedFrame>,
+    ) -> anyhow::Result<PagePicture> {
         let camera = &self.recorded.resolved.camera;
         let camera_px = [camera.width(), camera.height()];
         let size = jpeg_size(jpeg).unwrap_or_default();
         let is_whole = size == [header.width, header.height] && size == camera_px;
         let mut picture =
-            Picture { stamp: header.stamp, size, jpeg: Vec::new(), closeups: Vec::new() };
+            PagePicture { stamp: header.stamp, size, jpeg: Vec::new(), closeups: Vec::new() };
         let tracks = ended.map_or(&[][..], |ended| &ended.tracks);
         let wants_closeups = is_whole && self.closeups.is_some() && !tracks.is_empty();
         if self.maker.is_shown_as_is(size) && !wants_closeups {
@@ -126,7 +120,7 @@ impl Pictures {
     }
 
     /// The chunk of the newest picture up to this frame, and its place there.
-    fn find(&mut self, order: FrameOrder, at_ns: u64) -> Option<(Arc<Vec<Found>>, usize)> {
+    fn find(&mut self, order: FrameOrder, at_ns: u64) -> Option<(Arc<Vec<FramePicture>>, usize)> {
         let images = self.recorded.images?;
         let mut chunk = self.recorded.recording.chunk_at(at_ns);
         loop {
@@ -136,8 +130,9 @@ impl Pictures {
             };
             chunk = (0..=chunk).rev().find(|chunk| has_images(*chunk))?;
             let pictures = self.of_chunk(chunk, images);
-            // The source may be another process by then, but what was published earlier came earlier.
-            let place = pictures.iter().rposition(|found| found.header.stamp.order() <= order);
+            // The source may be another process by then, but what was published earlier came
+            // earlier.
+            let place = pictures.iter().rposition(|(header, _)| header.stamp.order() <= order);
             if let Some(place) = place {
                 return Some((pictures, place));
             }
@@ -146,7 +141,7 @@ impl Pictures {
     }
 
     /// The pictures of a chunk with their frames' headers.
-    fn of_chunk(&mut self, chunk: usize, images: u16) -> Arc<Vec<Found>> {
+    fn of_chunk(&mut self, chunk: usize, images: u16) -> Arc<Vec<FramePicture>> {
         if let Some((_, pictures)) = self.chunks.iter().find(|(known, _)| *known == chunk) {
             return pictures.clone();
         }
@@ -161,11 +156,7 @@ impl Pictures {
         pictures
     }
 
-    fn read_chunk(
-        &self,
-        chunk: usize,
-        images: u16,
-    ) -> Result<Vec<Found>, flockeye_recording::RecordingError> {
+    fn read_chunk(&self, chunk: usize, images: u16) -> Result<Vec<FramePicture>, RecordingError> {
         let Recorded { recording, channels, utc_from_exposure_ns, .. } = &*self.recorded;
         let is_frame = |channel| channels.is(channel, TopicId::Frames);
         let mut found = Vec::new();
@@ -195,7 +186,7 @@ impl Pictures {
             if let Some(header) = header
                 && picture.format == "jpeg"
             {
-                found.push(Found { header, jpeg: picture.bytes.to_vec() });
+                found.push((header, picture.bytes.to_vec()));
             }
         }
         Ok(found)

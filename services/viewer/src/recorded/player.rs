@@ -1,18 +1,18 @@
-//! Plays a recording to one page: the messages of a running pipeline, for the time that the page asks for.
+//! Plays a recording to one page: the messages of a running pipeline, for the time that the page
+//! asks for.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use flockeye_contract::FrameStamp;
-use tungstenite::Message;
 
 use super::Recorded;
-use super::pictures::Pictures;
-use super::playhead::{Change, Playhead};
-use crate::hub::Page;
-use crate::outbox::Kind;
-use crate::remote::{Move, Next, Remote};
-use crate::wire::{self, Head, PictureHead, Position, Status, Text};
+use super::pictures::RecordedPictures;
+use super::playhead::{NewFrames, Playhead};
+use crate::outbox::OutboxKind;
+use crate::pages::OpenPage;
+use crate::remote::{Move, Remote};
+use crate::wire::{self, BinaryHead, TextMessage};
 
 /// While it plays, it goes on so often.
 const TICK: Duration = Duration::from_millis(15);
@@ -24,13 +24,10 @@ const MOST_WAITING: usize = 24;
 const REPORT_PERIOD: Duration = Duration::from_millis(500);
 
 /// Starts a player for a page, in a thread that ends with the page.
-///
-/// # Errors
-/// The system has no more threads.
-pub fn start(recorded: Arc<Recorded>, page: Arc<Page>) -> std::io::Result<()> {
+pub fn start(recorded: Arc<Recorded>, page: Arc<OpenPage>) -> std::io::Result<()> {
     let thread = std::thread::Builder::new().name("player".into());
     thread.spawn(move || {
-        if let Some(remote) = page.remote() {
+        if let Some(remote) = &page.remote {
             Player::new(recorded, &page).run(remote);
         }
     })?;
@@ -39,9 +36,9 @@ pub fn start(recorded: Arc<Recorded>, page: Arc<Page>) -> std::io::Result<()> {
 
 struct Player<'p> {
     recorded: Arc<Recorded>,
-    page: &'p Page,
+    page: &'p OpenPage,
     head: Playhead,
-    pictures: Option<Pictures>,
+    pictures: Option<RecordedPictures>,
     speed: f64,
     answers: u64,
     /// The picture that the page has, and when it got it.
@@ -51,8 +48,8 @@ struct Player<'p> {
 }
 
 impl<'p> Player<'p> {
-    fn new(recorded: Arc<Recorded>, page: &'p Page) -> Self {
-        let pictures = recorded.images.is_some().then(|| Pictures::new(recorded.clone()));
+    fn new(recorded: Arc<Recorded>, page: &'p OpenPage) -> Self {
+        let pictures = recorded.images.is_some().then(|| RecordedPictures::new(recorded.clone()));
         let pictures = pictures.transpose().inspect_err(|error| tracing::warn!("{error:#}"));
         let now = Instant::now();
         Self {
@@ -69,23 +66,25 @@ impl<'p> Player<'p> {
     }
 
     fn run(&mut self, remote: &Remote) {
-        self.tell(Change::Anew);
+        self.tell(NewFrames::All);
         let mut last = Instant::now();
         loop {
             let wait = if self.speed > 0.0 { TICK } else { LOOK };
             let next = remote.next(wait);
             let now = Instant::now();
             let passed = now - std::mem::replace(&mut last, now);
+            if remote.is_closed() {
+                return;
+            }
             match next {
-                Next::End => return,
-                Next::Do(wish, answers) => {
+                Some((wish, answers)) => {
                     self.answers = answers;
                     let change = self.go(wish);
                     self.tell(change);
                     last = Instant::now();
                 }
-                Next::GoOn if self.speed > 0.0 => self.go_on(passed),
-                Next::GoOn => self.show_picture(),
+                None if self.speed > 0.0 => self.go_on(passed),
+                None => self.show_picture(),
             }
             // A page that is slow delays what comes next.
             while self.page.outbox(|outbox| outbox.waiting()) >= MOST_WAITING && !remote.is_closed()
@@ -96,7 +95,7 @@ impl<'p> Player<'p> {
         }
     }
 
-    fn go(&mut self, wish: Move) -> Change {
+    fn go(&mut self, wish: Move) -> NewFrames {
         match wish {
             Move::Seek(to_s) => self.head.seek(self.recorded.time_ns(to_s)),
             Move::Step(frames) => {
@@ -108,7 +107,7 @@ impl<'p> Player<'p> {
                 // From its end it begins anew.
                 match speed > 0.0 && self.head.is_at_end() {
                     true => self.head.seek(0),
-                    false => Change::Added(0),
+                    false => NewFrames::Last(0),
                 }
             }
         }
@@ -116,7 +115,7 @@ impl<'p> Player<'p> {
 
     fn go_on(&mut self, passed: Duration) {
         let on_ns = passed.as_nanos() as f64 * self.speed;
-        let change = self.head.advance(self.head.at_ns().saturating_add(on_ns as u64));
+        let change = self.head.advance(self.head.at_ns.saturating_add(on_ns as u64));
         if self.head.is_at_end() {
             self.speed = 0.0;
         }
@@ -124,52 +123,52 @@ impl<'p> Player<'p> {
     }
 
     /// Tells the page what has changed, and then where it is.
-    fn tell(&mut self, change: Change) {
-        let recent = self.head.recent();
+    fn tell(&mut self, change: NewFrames) {
+        let recent = &self.head.recent;
         let new = match change {
-            Change::Anew => recent.len(),
-            Change::Added(count) => count.min(recent.len()),
+            NewFrames::All => recent.len(),
+            NewFrames::Last(count) => count.min(recent.len()),
         };
         for seen in recent.iter().skip(recent.len() - new) {
-            self.put(&Text::Frame(&seen.ended.message));
+            self.put(&TextMessage::Frame(&seen.message));
         }
-        if change == Change::Anew {
+        if change == NewFrames::All {
             // Close-ups belong to frames that the page has let go.
             self.shown = None;
         }
         self.show_picture();
         self.tell_position();
         let is_time = self.reported_at.elapsed() >= REPORT_PERIOD;
-        if change == Change::Anew || self.speed == 0.0 || is_time {
+        if change == NewFrames::All || self.speed == 0.0 || is_time {
             self.reported_at = Instant::now();
-            let at_ns = self.head.at_ns();
-            let stages = self.head.tape().stages(at_ns);
-            self.put(&Text::Stages(&stages));
-            if let Some(swarm) = self.head.tape().swarm(at_ns) {
-                self.put(&Text::Swarm(&swarm));
+            let at_ns = self.head.at_ns;
+            let stages = self.head.tape.stages(at_ns);
+            self.put(&TextMessage::Stages { stages: &stages });
+            if let Some((drones, sightings)) = self.head.tape.swarm(at_ns) {
+                let (drones, sightings) = (&drones[..], &sightings[..]);
+                self.put(&TextMessage::Swarm { drones, sightings });
             }
         }
-        let trouble = self.head.tape().trouble();
-        let of_pictures = self.pictures.as_mut().and_then(Pictures::trouble);
+        let trouble = self.head.tape.trouble();
+        let of_pictures = self.pictures.as_mut().and_then(RecordedPictures::trouble);
         if let Some(trouble) = trouble.or(of_pictures) {
-            self.put(&Text::Status(&Status { running: true, trouble }));
+            self.put(&TextMessage::Status { running: true, trouble: &trouble });
         }
     }
 
     fn tell_position(&mut self) {
         let current = self.head.current();
         let nearest = match (current, &mut self.pictures) {
-            (Some(seen), Some(pictures)) => pictures.nearest(&seen.ended.stamp, seen.at_ns),
+            (Some(seen), Some(pictures)) => pictures.nearest(&seen.stamp, seen.utc_ns),
             _ => None,
         };
-        let position = Position {
-            key: current.map(|seen| seen.ended.message.key.clone()),
-            at_s: self.recorded.seconds(self.head.at_ns()),
+        self.put(&TextMessage::Position {
+            key: current.map(|seen| seen.message.key.as_str()),
+            at_s: self.recorded.seconds(self.head.at_ns),
             speed: self.speed,
-            picture: nearest.as_ref().map(wire::key),
+            picture: nearest.as_ref().map(wire::key).as_deref(),
             answers: self.answers,
-        };
-        self.put(&Text::Position(&position));
+        });
     }
 
     /// Shows the picture that is nearest before the frame, if the page has another and takes one.
@@ -184,29 +183,25 @@ impl<'p> Player<'p> {
         if self.speed > 0.0 && self.shown.is_some() && self.shown_at.elapsed() < period {
             return;
         }
-        let Some(nearest) = pictures.nearest(&seen.ended.stamp, seen.at_ns) else { return };
+        let Some(nearest) = pictures.nearest(&seen.stamp, seen.utc_ns) else { return };
         if self.shown.is_some_and(|shown| shown.is_same_frame(&nearest)) {
             return;
         }
-        let recent = self.head.recent();
-        let of = |stamp: &FrameStamp| {
-            recent.iter().map(|seen| &seen.ended).find(|ended| ended.stamp.is_same_frame(stamp))
-        };
+        let recent = &self.head.recent;
+        let of = |stamp: &FrameStamp| recent.iter().find(|seen| seen.stamp.is_same_frame(stamp));
         // A frame that cannot be shown is tried once.
         (self.shown, self.shown_at) = (Some(nearest), Instant::now());
-        let Some(picture) = pictures.picture(&seen.ended.stamp, seen.at_ns, of) else { return };
+        let Some(picture) = pictures.picture(&seen.stamp, seen.utc_ns, of) else { return };
         let key = wire::key(&picture.stamp);
-        let head = Head::Picture(PictureHead { key, size: picture.size });
-        let message = Message::binary(wire::binary(&head, &picture.jpeg));
-        self.page.put(Kind::Picture, message);
+        let head = BinaryHead::Picture { key, size: picture.size };
+        self.page.put(OutboxKind::Picture, wire::binary(&head, &picture.jpeg));
         for (head, jpeg) in picture.closeups {
-            let kind = Kind::Closeup(head.target);
-            let message = Message::binary(wire::binary(&Head::Closeup(head), &jpeg));
-            self.page.put(kind, message);
+            let kind = OutboxKind::Closeup(head.target);
+            self.page.put(kind, wire::binary(&BinaryHead::Closeup(head), &jpeg));
         }
     }
 
-    fn put(&self, message: &Text<'_>) {
-        self.page.put(Kind::Answer, Message::text(wire::text(message)));
+    fn put(&self, message: &TextMessage<'_>) {
+        self.page.put(OutboxKind::Answer, wire::text(message));
     }
 }

@@ -1,65 +1,55 @@
-//! Which frame of a recording is shown: for seeks, steps, and time that passes. No socket, no clock.
+//! Which frame of a recording is shown: for seeks, steps, and time that passes. No socket, no
+//! clock.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
 
 use super::Recorded;
-use super::tape::{Seen, Tape};
+use super::tape::SceneTape;
+use crate::scene::EndedFrame;
 
-/// Time before a frame that is read with it, for trails and states, nanoseconds: less than a page keeps.
+/// Time before a frame that is read with it, for trails and states, nanoseconds: less than a page
+/// keeps.
 const LEAD_NS: u64 = 9_000_000_000;
 /// Frames that are kept at most.
 const MOST_FRAMES: usize = 600;
 /// Where nothing ended in the lead, one so many times as long is tried.
 const WIDER: u64 = 8;
 
-/// What a move has brought.
+/// Which of the frames that are kept a move has brought.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Change {
-    /// All frames that are kept are new.
-    Anew,
-    /// This many at the end are new.
-    Added(usize),
+pub enum NewFrames {
+    /// All of them.
+    All,
+    /// This many at the end.
+    Last(usize),
 }
 
 /// A place in a recording, with the frames before it.
 pub struct Playhead {
     recorded: Arc<Recorded>,
-    tape: Tape,
-    recent: VecDeque<Seen>,
+    /// What the recording says there beside frames.
+    pub(super) tape: SceneTape,
+    /// The frames that are kept, up to the last that was read.
+    pub(super) recent: VecDeque<EndedFrame>,
     /// Which of them is shown.
     current: usize,
-    at_ns: u64,
+    /// The time that is shown, UTC nanoseconds.
+    pub(super) at_ns: u64,
 }
 
 impl Playhead {
     /// At the beginning.
     pub fn new(recorded: Arc<Recorded>) -> Self {
         let at_ns = recorded.first_ns;
-        let tape = Tape::at(recorded.clone(), at_ns);
+        let tape = SceneTape::at(recorded.clone(), at_ns);
         let mut playhead = Self { recorded, tape, recent: VecDeque::new(), current: 0, at_ns };
         playhead.seek(at_ns);
         playhead
     }
 
-    /// The frame that is shown.
-    pub fn current(&self) -> Option<&Seen> {
+    pub fn current(&self) -> Option<&EndedFrame> {
         self.recent.get(self.current)
-    }
-
-    /// The frames that are kept, up to the last that was read.
-    pub fn recent(&self) -> &VecDeque<Seen> {
-        &self.recent
-    }
-
-    /// The time that is shown, UTC nanoseconds.
-    pub fn at_ns(&self) -> u64 {
-        self.at_ns
-    }
-
-    /// What the recording says there beside frames.
-    pub fn tape(&mut self) -> &mut Tape {
-        &mut self.tape
     }
 
     /// Whether nothing follows.
@@ -68,16 +58,16 @@ impl Playhead {
     }
 
     /// Shows the last frame that had ended at this time, or the first of all.
-    pub fn seek(&mut self, to_ns: u64) -> Change {
+    pub fn seek(&mut self, to_ns: u64) -> NewFrames {
         let to_ns = to_ns.clamp(self.recorded.first_ns, self.recorded.last_ns);
         let mut lead_ns = LEAD_NS;
         loop {
             let from_ns = to_ns.saturating_sub(lead_ns).max(self.recorded.first_ns);
-            self.tape = Tape::at(self.recorded.clone(), from_ns);
+            self.tape = SceneTape::at(self.recorded.clone(), from_ns);
             self.recent.clear();
             while let Some(seen) = self.tape.next_until(to_ns) {
                 // A chunk begins earlier.
-                if seen.at_ns >= from_ns {
+                if seen.utc_ns >= from_ns {
                     self.push(seen);
                 }
             }
@@ -93,12 +83,12 @@ impl Playhead {
         }
         self.current = self.recent.len().saturating_sub(1);
         self.at_ns = to_ns;
-        Change::Anew
+        NewFrames::All
     }
 
     /// Shows the frame so many frames on, or back, as far as there are frames.
-    pub fn step(&mut self, frames: i32) -> Change {
-        let mut change = Change::Added(0);
+    pub fn step(&mut self, frames: i32) -> NewFrames {
+        let mut new = NewFrames::Last(0);
         let mut left = frames.unsigned_abs() as usize;
         while left > 0 {
             if frames > 0 {
@@ -108,9 +98,9 @@ impl Playhead {
                     let Some(seen) = self.tape.next_until(u64::MAX) else { break };
                     self.push(seen);
                     self.current = self.recent.len() - 1;
-                    change = match change {
-                        Change::Added(count) => Change::Added(count + 1),
-                        Change::Anew => Change::Anew,
+                    new = match new {
+                        NewFrames::Last(count) => NewFrames::Last(count + 1),
+                        NewFrames::All => NewFrames::All,
                     };
                 }
                 left -= 1;
@@ -119,23 +109,23 @@ impl Playhead {
                 self.current -= back;
                 left -= back;
             } else {
-                let Some(first) = self.recent.front().map(|seen| seen.at_ns) else { break };
-                change = self.seek(first.saturating_sub(1));
+                let Some(first) = self.recent.front().map(|seen| seen.utc_ns) else { break };
+                new = self.seek(first.saturating_sub(1));
                 // There was nothing before it.
-                if self.current().is_none_or(|seen| seen.at_ns >= first) {
+                if self.current().is_none_or(|seen| seen.utc_ns >= first) {
                     break;
                 }
                 left -= 1;
             }
         }
         if let Some(seen) = self.current() {
-            self.at_ns = seen.at_ns;
+            self.at_ns = seen.utc_ns;
         }
-        change
+        new
     }
 
     /// Goes on to this time.
-    pub fn advance(&mut self, to_ns: u64) -> Change {
+    pub fn advance(&mut self, to_ns: u64) -> NewFrames {
         let to_ns = to_ns.min(self.recorded.last_ns);
         // Somebody has stepped back, and what was read since is to be shown in its time.
         if self.current + 1 < self.recent.len() {
@@ -148,15 +138,15 @@ impl Playhead {
         }
         self.current = self.recent.len().saturating_sub(1);
         self.at_ns = to_ns.max(self.at_ns);
-        Change::Added(added)
+        NewFrames::Last(added)
     }
 
-    fn push(&mut self, seen: Seen) {
-        let oldest_ns = seen.at_ns.saturating_sub(LEAD_NS);
+    fn push(&mut self, seen: EndedFrame) {
+        let oldest_ns = seen.utc_ns.saturating_sub(LEAD_NS);
         self.recent.push_back(seen);
         while self.recent.len() > MOST_FRAMES
             || (self.recent.len() > 1
-                && self.recent.front().is_some_and(|oldest| oldest.at_ns < oldest_ns))
+                && self.recent.front().is_some_and(|oldest| oldest.utc_ns < oldest_ns))
         {
             self.recent.pop_front();
         }

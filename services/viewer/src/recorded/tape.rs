@@ -6,35 +6,23 @@ use std::sync::Arc;
 use flockeye_recording::IndexedMessage;
 
 use super::Recorded;
-use crate::scene::{Ended, Scene};
-use crate::stages::StageReports;
-use crate::wire;
-
-/// A frame that has ended, and when.
-#[derive(Debug, Clone)]
-pub struct Seen {
-    /// UTC nanoseconds.
-    pub at_ns: u64,
-    /// The frame.
-    pub ended: Ended,
-}
+use crate::scene::{EndedFrame, PageScene};
+use crate::wire::{DroneSummary, ProcessReport, SightingSummary};
 
 /// A place in a recording, and what is known there.
-pub struct Tape {
+pub struct SceneTape {
     recorded: Arc<Recorded>,
-    scene: Scene,
-    stages: StageReports,
+    scene: PageScene,
     waiting: VecDeque<IndexedMessage>,
     next_chunk: usize,
     trouble: Option<String>,
 }
 
-impl Tape {
+impl SceneTape {
     /// At the first chunk that may have what came at this time.
     pub fn at(recorded: Arc<Recorded>, utc_ns: u64) -> Self {
         Self {
-            scene: Scene::new(recorded.is_real_time()),
-            stages: StageReports::default(),
+            scene: PageScene::new(recorded.is_real_time()),
             waiting: VecDeque::new(),
             next_chunk: recorded.recording.chunk_at(utc_ns),
             trouble: None,
@@ -42,8 +30,9 @@ impl Tape {
         }
     }
 
-    /// The next frame that ended until then; `None`: there is none, and all before that time has been taken.
-    pub fn next_until(&mut self, until_ns: u64) -> Option<Seen> {
+    /// The next frame that ended until then; `None`: there is none, and all before that time has
+    /// been taken.
+    pub fn next_until(&mut self, until_ns: u64) -> Option<EndedFrame> {
         loop {
             while let Some(message) = self.waiting.front() {
                 if message.utc_ns > until_ns {
@@ -75,21 +64,22 @@ impl Tape {
     }
 
     /// What the stages reported until this time.
-    pub fn stages(&mut self, utc_ns: u64) -> wire::Stages {
-        self.stages.shown(self.recorded.monotonic_ns(utc_ns))
+    pub fn stages(&mut self, utc_ns: u64) -> Vec<ProcessReport> {
+        self.scene.stages(self.recorded.monotonic_ns(utc_ns))
     }
 
     /// What was known of the swarm at this time.
-    pub fn swarm(&mut self, utc_ns: u64) -> Option<wire::Swarm> {
+    pub fn swarm(&mut self, utc_ns: u64) -> Option<(Vec<DroneSummary>, Vec<SightingSummary>)> {
         self.scene.swarm(self.recorded.monotonic_ns(utc_ns))
     }
 
-    fn take(&mut self, message: &IndexedMessage) -> Option<Seen> {
-        let Self { recorded, scene, stages, .. } = self;
-        let (header, tracks) = recorded.channels.hand_on(message, scene, stages)?;
+    fn take(&mut self, message: &IndexedMessage) -> Option<EndedFrame> {
+        let Self { recorded, scene, .. } = self;
+        let (header, tracks) = recorded.channels.hand_on(message, scene)?;
         let now_ns = recorded.monotonic_ns(message.utc_ns);
         let mut ended = scene.tracks(&header, &tracks, now_ns)?;
         ended.message.at_s = Some(recorded.seconds(message.utc_ns));
-        Some(Seen { at_ns: message.utc_ns, ended })
+        ended.utc_ns = message.utc_ns;
+        Some(ended)
     }
 }

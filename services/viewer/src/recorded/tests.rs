@@ -13,8 +13,8 @@ use flockeye_runtime::resolved_file;
 use tempfile::TempDir;
 
 use super::overview::OverviewMaker;
-use super::pictures::Pictures;
-use super::playhead::{Change, Playhead};
+use super::pictures::RecordedPictures;
+use super::playhead::{NewFrames, Playhead};
 use super::*;
 use crate::picture::gray_jpeg;
 
@@ -47,8 +47,9 @@ fn stamp(sequence: u64) -> FrameStamp {
     FrameStamp { sequence, exposure_ns, ..FrameStamp::default() }
 }
 
-/// A recording of `frames` frames, ten a second. Each fifth has a picture, a third of it small; frame 42 never
-/// ended. A frame ends 150 ms after it came, so two others have come by then. In frames 60 to 69 the neighbour coasts.
+/// A recording of `frames` frames, ten a second. Each fifth has a picture, a third of it small;
+/// frame 42 never ended. A frame ends 150 ms after it came, so two others have come by then. In
+/// frames 60 to 69 the neighbour coasts.
 fn record(frames: u64) -> (TempDir, Arc<Recorded>) {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("flight.mcap");
@@ -120,24 +121,24 @@ fn record(frames: u64) -> (TempDir, Arc<Recorded>) {
 }
 
 fn shown(playhead: &Playhead) -> u64 {
-    playhead.current().unwrap().ended.stamp.sequence
+    playhead.current().unwrap().stamp.sequence
 }
 
 #[test]
 fn a_time_shows_the_last_frame_that_had_ended() {
     let (_folder, recorded) = record(300);
-    assert_eq!(recorded.trouble(), "");
-    let hello = recorded.hello().recording.as_ref().unwrap();
+    assert_eq!(recorded.trouble, "");
+    let hello = recorded.hello.recording.as_ref().unwrap();
     assert_eq!((hello.file.as_str(), hello.pictures), ("flight.mcap", true));
     assert!((hello.duration_s - 30.05).abs() < 1e-6, "{hello:?}");
     let mut playhead = Playhead::new(recorded.clone());
     assert_eq!(shown(&playhead), 0, "the first, although it has not ended yet");
     for (seconds, sequence) in [(20.16, 200), (20.0, 198), (5.2, 50), (1e9, 299), (0.0, 0)] {
-        assert_eq!(playhead.seek(recorded.time_ns(seconds)), Change::Anew);
+        assert_eq!(playhead.seek(recorded.time_ns(seconds)), NewFrames::All);
         assert_eq!(shown(&playhead), sequence, "at {seconds} s");
-        let oldest = &playhead.recent()[0];
-        let lead_s = (playhead.current().unwrap().at_ns - oldest.at_ns) as f64 * 1e-9;
-        assert!(lead_s <= 9.0 && (lead_s > 8.8 || oldest.ended.stamp.sequence == 0), "{lead_s}");
+        let oldest = &playhead.recent[0];
+        let lead_s = (playhead.current().unwrap().utc_ns - oldest.utc_ns) as f64 * 1e-9;
+        assert!(lead_s <= 9.0 && (lead_s > 8.8 || oldest.stamp.sequence == 0), "{lead_s}");
     }
     for odd in [f64::NAN, f64::NEG_INFINITY, f64::INFINITY] {
         playhead.seek(recorded.time_ns(odd));
@@ -171,10 +172,10 @@ fn steps_lead_to_each_frame_and_time_passes() {
     assert_eq!(shown(&playhead), 49);
     // Stepped back, it goes on from there.
     playhead.step(-3);
-    let at_ns = playhead.at_ns();
+    let at_ns = playhead.at_ns;
     playhead.advance(at_ns + 250_000_000);
     assert_eq!(shown(&playhead), 48);
-    assert_eq!(playhead.advance(at_ns + 450_000_000), Change::Added(2));
+    assert_eq!(playhead.advance(at_ns + 450_000_000), NewFrames::Last(2));
     assert_eq!(shown(&playhead), 50);
     playhead.advance(u64::MAX);
     assert!(playhead.is_at_end() && shown(&playhead) == 299);
@@ -184,14 +185,14 @@ fn steps_lead_to_each_frame_and_time_passes() {
 fn a_picture_is_the_nearest_before_and_of_no_later_frame() {
     let (_folder, recorded) = record(100);
     let mut playhead = Playhead::new(recorded.clone());
-    let mut pictures = Pictures::new(recorded.clone()).unwrap();
+    let mut pictures = RecordedPictures::new(recorded.clone()).unwrap();
     for sequence in [99, 45, 44, 4, 0, 60, 59] {
         playhead.seek(recorded.time_ns(0.1 * sequence as f64 + 0.151));
         let seen = playhead.current().unwrap();
-        assert_eq!(seen.ended.stamp.sequence, sequence);
-        let nearest = pictures.nearest(&seen.ended.stamp, seen.at_ns).unwrap();
+        assert_eq!(seen.stamp.sequence, sequence);
+        let nearest = pictures.nearest(&seen.stamp, seen.utc_ns).unwrap();
         assert_eq!(nearest.sequence, sequence / 5 * 5, "of frame {sequence}");
-        let picture = pictures.picture(&seen.ended.stamp, seen.at_ns, |_| None).unwrap();
+        let picture = pictures.picture(&seen.stamp, seen.utc_ns, |_| None).unwrap();
         assert_eq!((picture.stamp.sequence, picture.size), (nearest.sequence, [64, 32]));
         assert!(picture.closeups.is_empty(), "it is smaller than the camera's frames");
     }
@@ -248,6 +249,6 @@ fn a_recording_needs_its_configuration_and_bodies_keep_their_numbers() {
     bodies["bodies"] = serde_json::json!({ "zulu": alpha, "bravo": other });
     renamed.attachments[1].2 = serde_json::to_vec(&bodies).unwrap();
     let recorded = open(&renamed).unwrap();
-    let names: Vec<_> = recorded.hello().bodies.iter().map(|body| body.name.as_str()).collect();
+    let names: Vec<_> = recorded.hello.bodies.iter().map(|body| body.name.as_str()).collect();
     assert_eq!(names, ["zulu", "bravo"]);
 }

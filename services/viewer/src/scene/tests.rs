@@ -1,7 +1,7 @@
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 
 use bytemuck::Zeroable;
-use flockeye_contract::{NONE, Pose};
+use flockeye_contract::{NONE, Pose, StageState};
 
 use super::*;
 
@@ -26,14 +26,14 @@ fn alpha(state: TrackState) -> Track {
     }
 }
 
-fn ends(scene: &mut Scene, sequence: u64, tracks: &[Track]) -> Ended {
+fn ends(scene: &mut PageScene, sequence: u64, tracks: &[Track]) -> EndedFrame {
     let header = TrackHeader { stamp: stamp(sequence), is_last: 1, ..TrackHeader::default() };
     scene.tracks(&header, tracks, stamp(sequence).exposure_ns + 20_000_000).expect("it ends")
 }
 
 #[test]
 fn a_frame_goes_out_whole_when_it_ends() {
-    let mut scene = Scene::new(true);
+    let mut scene = PageScene::new(true);
     let tile = PlannedView {
         tile: 3,
         target: NONE,
@@ -88,7 +88,7 @@ fn a_frame_goes_out_whole_when_it_ends() {
 
 #[test]
 fn frames_that_never_ended_are_counted() {
-    let mut scene = Scene::new(false);
+    let mut scene = PageScene::new(false);
     assert_eq!(ends(&mut scene, 5, &[]).message.skipped, 0);
     assert_eq!(ends(&mut scene, 6, &[]).message.skipped, 0);
     let after = ends(&mut scene, 9, &[]).message;
@@ -100,7 +100,7 @@ fn frames_that_never_ended_are_counted() {
 
 #[test]
 fn what_never_ends_does_not_fill_the_memory() {
-    let mut scene = Scene::new(true);
+    let mut scene = PageScene::new(true);
     for sequence in 0..1000 {
         let record = DetectionHeader { stamp: stamp(sequence), ..Default::default() };
         for _ in 0..1000 {
@@ -116,7 +116,7 @@ fn what_never_ends_does_not_fill_the_memory() {
 
 #[test]
 fn the_swarm_is_shown_until_it_is_silent() {
-    let mut scene = Scene::new(true);
+    let mut scene = PageScene::new(true);
     assert_eq!(scene.swarm(0), None);
     let drone = SwarmPose {
         name: "bravo".into(),
@@ -131,9 +131,46 @@ fn the_swarm_is_shown_until_it_is_silent() {
         observer_from_target: Pose { position: [3.0, 4.0, 0.0], ..Pose::default() },
         ..PeerSighting::zeroed()
     };
-    scene.sightings(&PeerHeader::default(), &[sighting, sighting]);
-    let shown = scene.swarm(2).expect("both are new");
-    assert_eq!((shown.drones[0].way, shown.sightings.len()), ("chained", 1));
-    assert_eq!(shown.sightings[0].range_m, 5.0);
+    scene.sightings(&[sighting, sighting]);
+    let (drones, sightings) = scene.swarm(2).expect("both are new");
+    assert_eq!((drones[0].way, sightings.len()), ("chained", 1));
+    assert_eq!(sightings[0].range_m, 5.0);
     assert_eq!(scene.swarm(2 + 2 * FORGOTTEN_NS), None);
+}
+
+fn health(sent_s: f64, taken: u64) -> Health {
+    Health {
+        stage: "fusion".into(),
+        sent_ns: (sent_s * 1e9) as i64,
+        taken,
+        pid: 7,
+        state: StageState::Ready.code(),
+        latency_median_ns: 2_000_000,
+        latency_p99_ns: 9_000_000,
+        ..Health::default()
+    }
+}
+
+#[test]
+fn rates_follow_the_counters_and_silence_is_named() {
+    let mut scene = PageScene::new(true);
+    for step in 0..60 {
+        scene.health(&health(f64::from(step) * 0.25, 10 * step as u64));
+    }
+    let now_ns = 15_000_000_000;
+    let shown = scene.stages(now_ns);
+    let [stage] = &shown[..] else { panic!("{shown:?}") };
+    assert!((stage.taken_per_s - 40.0).abs() < 0.1, "{stage:?}");
+    assert_eq!((stage.state, stage.latency_ms), ("ready", Some([2.0, 9.0])));
+    assert_eq!(scene.stages(now_ns + 3_000_000_000)[0].state, "silent");
+    assert!(scene.stages(now_ns + 30_000_000_000).is_empty(), "it is gone");
+}
+
+#[test]
+fn inventions_do_not_fill_the_memory() {
+    let mut scene = PageScene::new(true);
+    for replica in 0..1000 {
+        scene.health(&Health { replica, ..health(1.0, 0) });
+    }
+    assert_eq!(scene.stages(1_000_000_000).len(), MOST_PROCESSES);
 }

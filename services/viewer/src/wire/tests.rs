@@ -5,8 +5,7 @@ use flockeye_config::{Pipeline, Resolved};
 use serde_json::Value;
 
 use super::*;
-use crate::scene::Scene;
-use crate::stages::StageReports;
+use crate::scene::PageScene;
 
 /// All keys of a value, those of what is in it too.
 fn keys(value: &Value, found: &mut BTreeSet<String>) {
@@ -20,24 +19,24 @@ fn keys(value: &Value, found: &mut BTreeSet<String>) {
     }
 }
 
-fn pose() -> Pose {
-    Pose { p: [0.0; 3], q: [0.0, 0.0, 0.0, 1.0] }
+fn pose() -> PagePose {
+    PagePose { p: [0.0; 3], q: [0.0, 0.0, 0.0, 1.0] }
 }
 
 /// A frame in which nothing is absent.
-fn whole_frame() -> Frame {
+fn whole_frame() -> FrameMessage {
     let header = flockeye_contract::TrackHeader { is_last: 1, ..Default::default() };
     let track: flockeye_contract::Track = bytemuck::Zeroable::zeroed();
-    let mut frame = Scene::new(true).tracks(&header, &[track], 0).unwrap().message;
-    let view = Square { q: [0.0; 4], half: 1.0 };
-    frame.regions = vec![Region { target: 0, view }];
+    let mut frame = PageScene::new(true).tracks(&header, &[track], 0).unwrap().message;
+    let view = ViewSquare { q: [0.0; 4], half: 1.0 };
+    frame.regions = vec![RegionView { target: 0, view }];
     frame.markers = vec![Detected { id: 0, doubtful: false, rays: [[0.0; 3]; 4] }];
     frame.truth = vec![Truth { target: 0, pose: pose() }];
     frame
 }
 
-/// RECORDING.md has a row for each message, for authors of a page. That row, or the rows of its fields, name
-/// each key.
+/// RECORDING.md has a row for each message, for authors of a page. That row, or the rows of its
+/// fields, name each key.
 #[test]
 fn the_document_names_every_key() {
     let document = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/RECORDING.md");
@@ -45,10 +44,11 @@ fn the_document_names_every_key() {
     let resolved = Resolved::of(Pipeline::default()).unwrap();
     let mut hello = crate::setting::hello(&resolved, "x", 1.0);
     let file = "flight.mcap".to_owned();
-    hello.recording = Some(Recording { file, began_s: 0.0, duration_s: 1.0, pictures: true });
-    let mut reports = StageReports::default();
+    hello.recording =
+        Some(RecordingSummary { file, began_s: 0.0, duration_s: 1.0, pictures: true });
+    let mut reports = PageScene::new(true);
     reports.health(&Default::default());
-    let drone = Drone {
+    let drone = DroneSummary {
         name: String::new(),
         pose: pose(),
         covariance: [0.0; 6],
@@ -56,7 +56,7 @@ fn the_document_names_every_key() {
         through: String::new(),
         age_s: 0.0,
     };
-    let sighting = Sighting {
+    let sighting = SightingSummary {
         observer: String::new(),
         target: String::new(),
         state: "confirmed",
@@ -68,25 +68,24 @@ fn the_document_names_every_key() {
         losses: vec![TopicLoss { topic: String::new(), recorded: 1, lost: 1 }],
         ..Overview::default()
     };
-    let position = Position { key: None, at_s: 0.0, speed: 0.0, picture: None, answers: 0 };
-    let (frame, stages) = (whole_frame(), reports.shown(0));
-    let swarm = Swarm { drones: vec![drone], sightings: vec![sighting] };
+    let (frame, stages) = (whole_frame(), reports.stages(0));
     let messages = [
-        Text::Hello(&hello),
-        Text::Frame(&frame),
-        Text::Stages(&stages),
-        Text::Swarm(&swarm),
-        Text::Status(&Status::default()),
-        Text::Position(&position),
-        Text::Overview(&overview),
+        TextMessage::Hello(&hello),
+        TextMessage::Frame(&frame),
+        TextMessage::Stages { stages: &stages },
+        TextMessage::Swarm { drones: &[drone], sightings: &[sighting] },
+        TextMessage::Status { running: false, trouble: "" },
+        TextMessage::Position { key: None, at_s: 0.0, speed: 0.0, picture: None, answers: 0 },
+        TextMessage::Overview(&overview),
     ];
-    let mut values: Vec<Value> =
-        messages.iter().map(|message| serde_json::from_str(&text(message)).unwrap()).collect();
-    let picture = Head::Picture(PictureHead { key: String::new(), size: [1, 1] });
-    let score = Some(Score { correlation: 0.0, log_odds: 0.0, facets: 0 });
+    let json = |message: Message| serde_json::from_str(message.to_text().unwrap()).unwrap();
+    let mut values: Vec<Value> = messages.iter().map(|message| json(text(message))).collect();
+    let picture = BinaryHead::Picture { key: String::new(), size: [1, 1] };
+    let score = Some(Likeness { correlation: 0.0, log_odds: 0.0, facets: 0 });
     let closeup = CloseupHead { key: String::new(), target: 0, size: [1, 1], panels: 1, score };
-    values
-        .extend([picture, Head::Closeup(closeup)].map(|head| serde_json::to_value(head).unwrap()));
+    values.extend(
+        [picture, BinaryHead::Closeup(closeup)].map(|head| serde_json::to_value(head).unwrap()),
+    );
     let rows: Vec<&str> = document.lines().filter(|line| line.starts_with("| `")).collect();
     let row = |name: &str| {
         let start = format!("| `{name}` |");
@@ -116,8 +115,8 @@ fn the_document_names_every_key() {
 
 #[test]
 fn a_binary_message_says_where_its_picture_begins() {
-    let head = Head::Picture(PictureHead { key: "0.1.2".into(), size: [4, 2] });
-    let message = binary(&head, b"jpeg");
+    let head = BinaryHead::Picture { key: "0.1.2".into(), size: [4, 2] };
+    let message = binary(&head, b"jpeg").into_data();
     let length = u32::from_le_bytes(message[..4].try_into().unwrap()) as usize;
     let read: Value = serde_json::from_slice(&message[4..4 + length]).unwrap();
     assert_eq!((read["kind"].as_str(), read["key"].as_str()), (Some("picture"), Some("0.1.2")));

@@ -1,6 +1,7 @@
-//! The two ends of a hop through dora-rs: `dora-hop send BYTES MESSAGES PERIOD_MS` and `dora-hop receive
-//! FILE`, both started by dora as the nodes of a dataflow. The file gets a line for each message, with
-//! the nanoseconds from its being sent to the receiver's wake-up and to its having read each cache line.
+//! The two ends of a hop through dora-rs: `dora-hop send BYTES MESSAGES PERIOD_MS` and `dora-hop
+//! receive FILE`, both started by dora as the nodes of a dataflow. The file gets a line for each
+//! message, with the nanoseconds from its being sent to the receiver's wake-up and to its having
+//! read each cache line.
 
 use std::fs::File;
 use std::hint::black_box;

@@ -62,7 +62,8 @@ const HAND_OVERS: [HandOver; 5] = [
 /// Stands for the path of that program.
 const SILENT_DETECTOR: &str = "silent-detector";
 
-/// Begins a hand-over, and calls `strike` with the processes that were there before when it has come to `step`.
+/// Begins a hand-over, and calls `strike` with the processes that were there before when it has
+/// come to `step`.
 fn hand_over_until(
     flight: &mut Flight,
     command: &[&str],
@@ -88,7 +89,8 @@ fn hand_over_until(
     let start = Instant::now();
     while !reached.exists() {
         assert!(start.elapsed() < WATCHDOG, "{step:?} is not reached:\n{}", flight.output());
-        // On a busy machine a new process may rightly be found worse than the old one, before that step.
+        // On a busy machine a new process may rightly be found worse than the old one, before that
+        // step.
         if swap.is_finished() && !reached.exists() {
             swap = begin();
         }
@@ -153,7 +155,7 @@ fn a_launcher_that_dies_at_any_step_of_a_hand_over_leaves_a_flight_that_the_next
             flight = next;
         }
     }
-    end(flight);
+    flight.stop();
 }
 
 fn survives_the_death_in_a_hand_over(name: &str, is_victim: fn(i32, &BTreeSet<i32>) -> bool) {
@@ -177,7 +179,7 @@ fn survives_the_death_in_a_hand_over(name: &str, is_victim: fn(i32, &BTreeSet<i3
             wait_until_it_is_over(&flight);
         }
     }
-    end(flight);
+    flight.stop();
 }
 
 #[test]

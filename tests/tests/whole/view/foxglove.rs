@@ -28,8 +28,7 @@ const TOPICS: [(&str, &str); 8] = [
 #[test]
 fn foxglove_sees_the_same_scene() {
     let Some(python) = python() else { return };
-    let mut flight = Flight::start("foxglove", &[], SMALL_FLIGHT);
-    flight.wait_for("alpha confirmed");
+    let mut flight = Flight::with_poses("foxglove", &[], SMALL_FLIGHT);
     let address = format!("127.0.0.1:{}", free_port());
     let view = View::of(&flight, &["--foxglove", &address]);
     let mut command = Command::new(python);
@@ -103,9 +102,7 @@ fn foxglove_sees_the_same_scene() {
     }
 
     view.end();
-    flight.signal(Signal::INT);
-    assert!(flight.wait().success(), "{}", flight.output());
-    flight.assert_nothing_left();
+    flight.end_by(Signal::INT);
 }
 
 fn text(bytes: &[u8]) -> String {

@@ -10,9 +10,8 @@ use std::time::Instant;
 use flockeye_config::{Pipeline, Resolved};
 use flockeye_contract::{TrackHeader, TrackState};
 use flockeye_recording::channel::FRAME_IMAGES;
-use flockeye_recording::file::RecordingFile;
 use flockeye_recording::message::decode;
-use flockeye_recording::{IndexedRecording, Reader, RecordingWriter, layouts};
+use flockeye_recording::{IndexedRecording, RecordingReader, layouts};
 use flockeye_require::loopback::free_port;
 use flockeye_tests::browser::Browser;
 use flockeye_tests::{Flight, SMALL_FLIGHT, Scratch, WATCHDOG, run};
@@ -20,6 +19,7 @@ use serde_json::Value;
 use tungstenite::{Message, WebSocket};
 
 use crate::python::python;
+use crate::replaying::copy_without;
 
 use super::{View, assert_corners_are_in_their_places, assert_picture_is_where_the_pose_is, next};
 
@@ -58,8 +58,7 @@ impl Recorded {
         let set: Vec<&str> =
             SMALL_FLIGHT.iter().copied().chain(settings.iter().map(String::as_str)).collect();
         let mut flight = Flight::start(name, &["--profile", "repeat"], &set);
-        assert!(flight.wait().success(), "{}", flight.output());
-        flight.assert_nothing_left();
+        flight.assert_ends_well();
         let mut files = std::fs::read_dir(folder).expect("it was made");
         let path = files.next().expect("one recording").expect("it can be read").path();
         Self::read(path)
@@ -68,7 +67,7 @@ impl Recorded {
     fn read(path: PathBuf) -> Self {
         let layout = layouts().into_iter().find(|layout| layout.service == "flockeye/track");
         let layout = layout.expect("there is this topic");
-        let mut reader = Reader::open(&path).expect("it is a recording");
+        let mut reader = RecordingReader::open(&path).expect("it is a recording");
         let (_, _, json) = &reader.about().attachments[0];
         let pipeline = Pipeline::from_json(json).expect("it is a configuration");
         let resolved = Resolved::of(pipeline).expect("it is valid");
@@ -115,18 +114,7 @@ impl Recorded {
 }
 
 fn copy(from: &Path, to: &Path, is_kept: impl Fn(&str) -> bool) {
-    let mut reader = Reader::open(from).expect("it is a recording");
-    let file = RecordingFile::create(to).expect("it is new");
-    let mut writer = RecordingWriter::begin(file, reader.about()).expect("it can be written");
-    while let Some(message) = reader.next_message().expect("it can be read") {
-        if is_kept(&message.channel.topic) {
-            let (kind, sequence) = (&message.channel, message.sequence);
-            writer
-                .write_as(kind, sequence, message.utc_ns, &message.bytes)
-                .expect("it can be written");
-        }
-    }
-    writer.finish().expect("it can be written");
+    copy_without(from, to, |message| !is_kept(&message.channel.topic));
 }
 
 /// The page shows this frame, and nothing is asked any more.
@@ -148,7 +136,8 @@ fn a_recording_is_shown_at_any_time() {
     let name = flight.path.file_name().expect("a name").to_string_lossy().into_owned();
     assert_eq!(browser.ask("document.title"), format!("{name} · Flockeye"));
 
-    // At two times, of which the later comes first: that very frame, with its picture and close-up under the lines.
+    // At two times, of which the later comes first: that very frame, with its picture and close-up
+    // under the lines.
     let is_seen = |ended: &&Ended| ended.is_confirmed && ended.sequence.is_multiple_of(EVERY);
     let seen: Vec<&Ended> = flight.ended.iter().filter(is_seen).collect();
     assert!(seen.len() > 10, "{} frames with a picture and a neighbour", seen.len());

@@ -82,8 +82,7 @@ fn a_click_on_a_recordings_timelines_says_why() {
 #[test]
 fn a_live_page_says_why_from_the_recording_that_is_being_written() {
     let scratch = Scratch::new("why-live");
-    let mut flight = Flight::start("why-live", &[], SMALL_FLIGHT);
-    flight.wait_for("alpha confirmed");
+    let mut flight = Flight::with_poses("why-live", &[], SMALL_FLIGHT);
     let view = View::of(&flight, &[]);
     let ask = |frame: &str| {
         let target = format!("/explain?target=alpha&frame={frame}");

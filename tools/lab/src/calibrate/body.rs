@@ -1,11 +1,10 @@
 //! `flockeye calibrate body`: where a body's markers really are, from a recording of it.
 
 use std::collections::BTreeMap;
-use std::path::PathBuf;
+use std::path::Path;
 
-use crate::calibration::body::{BodyCalibration, CalibratedMarker, CalibrationOptions, calibrate};
+use crate::calibration::body::{BodyCalibration, CalibratedMarker, calibrate};
 use anyhow::Context;
-use clap::Args;
 use flockeye_cli::text_table::TextTable;
 use flockeye_cli::{Configuration, Screen};
 use flockeye_geometry::body::Bodies;
@@ -16,25 +15,13 @@ use serde_json::{Value, json};
 
 use super::{lossless, written};
 
-/// Arguments of `calibrate body`.
-#[derive(Debug, Args)]
-pub struct CalibrateBodyArguments {
-    /// Which configuration: the camera, the bodies as designed, and the recording as its source.
-    #[command(flatten)]
-    pub configuration: Configuration,
-    /// Where to write the calibrated bodies: a JSON file for --bodies.
-    #[arg(long, value_name = "FILE.json")]
-    pub out: PathBuf,
-}
-
 /// Runs the recording lossless, refines the bodies that are seen in it, and writes them.
 ///
 /// # Errors
 /// `flockeye up` fails, no body is seen often enough (with what is missing), or the file cannot be
 /// written.
-pub fn run(arguments: &CalibrateBodyArguments) -> anyhow::Result<()> {
-    let path = &arguments.out;
-    let configuration = lossless(&arguments.configuration)?;
+pub fn run(configuration: &Configuration, path: &Path) -> anyhow::Result<()> {
+    let configuration = lossless(configuration)?;
     let bodies = flockeye_config::bodies(&configuration.load()?.bodies)?;
     // First, so that an unwritable file is reported before the work.
     let is_new = !path.exists();
@@ -64,7 +51,7 @@ fn find(configuration: &Configuration, bodies: &Bodies) -> anyhow::Result<Vec<Bo
             screen.line(&format!("body '{}' is never seen: it stays as designed", body.name));
             continue;
         }
-        match calibrate(body, &frames, &CalibrationOptions::default()) {
+        match calibrate(body, &frames) {
             Ok(calibration) => {
                 screen.line(&table(&calibration));
                 found.push(calibration);

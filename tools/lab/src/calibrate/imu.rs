@@ -7,11 +7,12 @@ use std::time::Duration;
 use crate::calibration::sensor::{SensorCalibration, TurnSeen, calibrate};
 use anyhow::{Context, ensure};
 use clap::Args;
-use flockeye_cli::{Configuration, Screen, duration, signals};
+use flockeye_cli::{Configuration, duration, signals};
 use flockeye_config::{InertialSource, Pipeline};
 use flockeye_tables::{RotationRow, rate_record, read};
 use serde_json::{Value, json};
 
+use super::show;
 use crate::up_process;
 
 /// Duration of the flight where the source does not end by itself.
@@ -37,18 +38,10 @@ pub struct CalibrateImuArguments {
 /// No sensor is configured, `flockeye up` fails, or the flight does not tell: with what is missing.
 pub fn run(arguments: &CalibrateImuArguments) -> anyhow::Result<()> {
     let found = fly(arguments, &[])?;
-    let mut screen = Screen::new();
-    match arguments.json {
-        true => screen.line(&serde_json::to_string_pretty(&as_json(&found))?),
-        false => screen.line(&text(&found)),
-    }
-    Ok(())
+    show(arguments.json, || as_json(&found), || text(&found))
 }
 
 /// The flight with `more` settings, and what it tells of sensor and camera.
-///
-/// # Errors
-/// As [`run`].
 pub(super) fn fly(
     arguments: &CalibrateImuArguments,
     more: &[&str],
@@ -89,8 +82,8 @@ fn is_timeless(pipeline: &Pipeline) -> bool {
     !lives && (input == "sim" || Path::new(input).exists())
 }
 
-/// Settings of the run, and how long it takes at most. A recording is played without loss to its end, a
-/// simulated flight flown without loss, and whatever lives is compared for a while.
+/// Settings of the run, and how long it takes at most. A recording is played without loss to its
+/// end, a simulated flight flown without loss, and whatever lives is compared for a while.
 fn settings(pipeline: &Pipeline, wanted: Option<Duration>) -> (Vec<String>, Option<Duration>) {
     let is_recording = Path::new(&pipeline.source.input).exists();
     let is_simulated = pipeline.source.input == "sim";

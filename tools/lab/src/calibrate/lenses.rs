@@ -1,47 +1,37 @@
-//! `flockeye calibrate lenses`: how the camera's two lenses lie to each other, from a recording in which a body
-//! spans the seam between them.
+//! `flockeye calibrate lenses`: how the camera's two lenses lie to each other, from a recording in
+//! which a body spans the seam between them.
 
 use crate::calibration::lenses::{FoundLenses, LensCalibration, calibrate};
-use clap::Args;
 use flockeye_cli::{Configuration, Screen};
-use flockeye_config::{Camera, FisheyeLens, Resolved};
+use flockeye_config::{CameraSettings, FisheyeLens, Resolved};
 use serde_json::{Value, json};
 
 use super::body::by_frame;
 use super::{STATED_AT_M, frame_by_frame, mount_of, written};
 
-/// Rays that scatter by more than this, in their stated standard deviations, are not explained by the lenses.
+/// Rays that scatter by more than this, in their stated standard deviations, are not explained by
+/// the lenses.
 const MUCH_SCATTER: f64 = 2.0;
-
-/// Arguments of `calibrate lenses`.
-#[derive(Debug, Args)]
-pub struct CalibrateLensesArguments {
-    /// Which configuration: the camera as it is believed to be, the bodies, and the recording as its source.
-    #[command(flatten)]
-    pub configuration: Configuration,
-    /// For a program.
-    #[arg(long)]
-    pub json: bool,
-}
 
 /// Runs the recording lossless, and prints how the lenses lie to each other.
 ///
 /// # Errors
-/// `flockeye up` fails, the camera has one centre, or no body spans the seam often enough (with what is
-/// missing).
-pub fn run(arguments: &CalibrateLensesArguments) -> anyhow::Result<()> {
-    let configuration = frame_by_frame(&arguments.configuration);
+/// `flockeye up` fails, the camera has one centre, or no body spans the seam often enough (with
+/// what is missing).
+pub fn run(configuration: &Configuration, json: bool) -> anyhow::Result<()> {
+    let configuration = frame_by_frame(configuration);
     let resolved = Resolved::of(configuration.load()?)?;
     // First, so that a camera with one centre is refused before the work.
     if resolved.camera.lens_positions().is_none() {
         calibrate(&resolved.camera, &[], &[])?;
     }
-    let rays = written(&configuration, "--rays", "the recording", arguments.json)?;
-    // All views of such a run are tiles: their rays are right for the distance that the camera is right for.
+    let rays = written(&configuration, "--rays", "the recording", json)?;
+    // All views of such a run are tiles: their rays are right for the distance that the camera is
+    // right for.
     let frames = by_frame(&rays);
     let bodies: Vec<_> = resolved.bodies.iter().cloned().collect();
     let found = calibrate(&resolved.camera, &bodies, &frames)?;
-    let text = match arguments.json {
+    let text = match json {
         true => serde_json::to_string_pretty(&as_json(&found))?,
         false => text(&found, &resolved.pipeline.camera)?,
     };
@@ -74,7 +64,7 @@ fn as_json(found: &LensCalibration) -> Value {
 }
 
 /// The report. `camera` is the configured one.
-fn text(found: &LensCalibration, camera: &Camera) -> anyhow::Result<String> {
+fn text(found: &LensCalibration, camera: &CameraSettings) -> anyhow::Result<String> {
     let sides = ["ahead", "behind", "left", "right", "above", "below"];
     let seen = sides.iter().zip(found.sides).filter(|(_, count)| *count > 0);
     let seen: Vec<String> = seen.map(|(side, count)| format!("{count} {side}")).collect();
@@ -132,7 +122,7 @@ fn text(found: &LensCalibration, camera: &Camera) -> anyhow::Result<String> {
 }
 
 /// What to paste into `pipeline.yaml`.
-fn yaml(found: &FoundLenses, camera: &Camera) -> serde_json::Result<String> {
+fn yaml(found: &FoundLenses, camera: &CameraSettings) -> serde_json::Result<String> {
     match found {
         FoundLenses::Distance { lens_distance_m, .. } => {
             Ok(format!("camera:\n  lens_distance_m: {:.5}", lens_distance_m.max(0.0)))

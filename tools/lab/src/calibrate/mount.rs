@@ -1,33 +1,35 @@
-//! `flockeye calibrate mount`: where the camera sits on the drone, from a body at places that were measured.
+//! `flockeye calibrate mount`: where the camera sits on the drone, from a body at places that were
+//! measured.
 
 mod bench;
 
 use std::path::PathBuf;
 
-use crate::calibration::mount::{Agreement, MountCalibration, fit};
+use crate::calibration::mount::{Agreement, MountCalibration, StillPose, fit};
 use anyhow::{Context, ensure};
 use clap::Args;
+use flockeye_cli::Configuration;
 use flockeye_cli::text_table::TextTable;
-use flockeye_cli::{Configuration, Screen};
 use flockeye_config::{isometry, read_document};
 use flockeye_tables::{PoseRow, read};
 use nalgebra::Isometry3;
 use serde_json::{Value, json};
 
-use self::bench::{Bench, SeenPlace};
-use super::{STATED_AT_M, frame_by_frame, mount_of, written};
+use self::bench::MeasuringBench;
+use super::{STATED_AT_M, frame_by_frame, mount_of, show, written};
 
 /// Arguments of `calibrate mount`.
 #[derive(Debug, Args)]
 pub struct CalibrateMountArguments {
-    /// Which configuration: the camera, the bodies, and the pictures as its source (a folder of images, or a video).
+    /// Which configuration: the camera, the bodies, and the pictures as its source (a folder of
+    /// images, or a video).
     #[command(flatten)]
     pub configuration: Configuration,
     /// Where the body was: a YAML or JSON file of places in the drone's frame (docs/CAMERAS.md).
     #[arg(long, value_name = "FILE")]
     pub places: PathBuf,
-    /// Poses that `flockeye up --poses` recorded of the pictures with this configuration; the pictures are not
-    /// looked at then.
+    /// Poses that `flockeye up --poses` recorded of the pictures with this configuration; the
+    /// pictures are not looked at then.
     #[arg(long, value_name = "FILE.csv")]
     pub poses: Option<PathBuf>,
     /// For a program.
@@ -38,9 +40,10 @@ pub struct CalibrateMountArguments {
 /// Measures the body's pose at each place, and prints where the camera sits.
 ///
 /// # Errors
-/// The file of places is wrong, `flockeye up` fails, or the places do not tell: with what is missing.
+/// The file of places is wrong, `flockeye up` fails, or the places do not tell: with what is
+/// missing.
 pub fn run(arguments: &CalibrateMountArguments) -> anyhow::Result<()> {
-    let bench: Bench = read_document(&arguments.places)?;
+    let bench: MeasuringBench = read_document(&arguments.places)?;
     let configuration = frame_by_frame(&arguments.configuration);
     let pipeline = configuration.load()?;
     bench.check().with_context(|| format!("{}", arguments.places.display()))?;
@@ -49,33 +52,39 @@ pub fn run(arguments: &CalibrateMountArguments) -> anyhow::Result<()> {
         None => written(&configuration, "--poses", "the pictures", arguments.json)?,
     };
     let configured = isometry(&pipeline.observer.observer_from_camera);
-    let report = Report::of(&bench, &rows, configured)?;
-    let mut screen = Screen::new();
-    match arguments.json {
-        true => screen.line(&serde_json::to_string_pretty(&report.as_json())?),
-        false => screen.line(&report.text()),
-    }
-    Ok(())
+    let report = MountReport::of(&bench, &rows, configured)?;
+    show(arguments.json, || report.as_json(), || report.text())
 }
 
 /// What was found, and from what.
-struct Report {
+struct MountReport {
     found: MountCalibration,
     configured: Isometry3<f64>,
-    /// Places with a pose, in the order of the mount's residuals.
-    seen: Vec<SeenPlace>,
+    /// Places with a pose, by their numbers in the file, from 1. The mount's residuals have this
+    /// order.
+    seen: Vec<(usize, StillPose)>,
     /// Numbers of those without, from 1.
     unseen: Vec<usize>,
 }
 
-impl Report {
-    fn of(bench: &Bench, rows: &[PoseRow], configured: Isometry3<f64>) -> anyhow::Result<Self> {
+impl MountReport {
+    fn of(
+        bench: &MeasuringBench,
+        rows: &[PoseRow],
+        configured: Isometry3<f64>,
+    ) -> anyhow::Result<Self> {
         let body = bench.body(rows)?;
         let places = bench.see(rows, &body, &configured)?;
-        let unseen: Vec<usize> =
-            (1..).zip(&places).filter(|(_, seen)| seen.is_none()).map(|(k, _)| k).collect();
-        let seen: Vec<SeenPlace> = places.into_iter().flatten().collect();
-        let measured: Vec<_> = seen.iter().map(|place| place.measured.clone()).collect();
+        let (mut measured, mut seen, mut unseen) = (Vec::new(), Vec::new(), Vec::new());
+        for (number, place) in (1..).zip(places) {
+            match place {
+                Some(place) => {
+                    seen.push((number, place.seen.clone()));
+                    measured.push(place);
+                }
+                None => unseen.push(number),
+            }
+        }
         let found = fit(&measured).map_err(|error| {
             let missing = match unseen.as_slice() {
                 [] => String::new(),
@@ -93,11 +102,11 @@ impl Report {
     fn as_json(&self) -> Value {
         let Self { found, .. } = self;
         let deviations = found.deviations();
-        let places = self.seen.iter().zip(&found.places).map(|(place, residual)| {
+        let places = self.seen.iter().zip(&found.places).map(|((number, seen), residual)| {
             json!({
-                "place": place.number,
-                "frames": place.frames,
-                "odd_frames": place.odd,
+                "place": number,
+                "frames": seen.frames,
+                "odd_frames": seen.odd,
                 "residual_mm": residual.residual_m.map(|x| x * 1e3).as_slice(),
                 "expected_mm": residual.deviation_m * 1e3,
                 "deviations": residual.deviations,
@@ -128,10 +137,10 @@ impl Report {
         for place in &self.unseen {
             text += &format!("\nplace {place}: the body has no pose there; it does not count");
         }
-        for place in self.seen.iter().filter(|place| place.odd > 0) {
+        for (number, seen) in self.seen.iter().filter(|(_, seen)| seen.odd > 0) {
             text += &format!(
-                "\nplace {}: {} frames have another pose and do not count. Cure: nothing may move",
-                place.number, place.odd
+                "\nplace {number}: {} frames have another pose and do not count. Cure: nothing may move",
+                seen.odd
             );
         }
         let mount = mount_of(&found.observer_from_camera);
@@ -179,12 +188,12 @@ impl Report {
     fn table(&self) -> String {
         let titles = ["place", "frames", "x mm", "y mm", "z mm", "expected mm", "deviations", ""];
         let mut table = TextTable::new(0, &titles);
-        for (place, residual) in self.seen.iter().zip(&self.found.places) {
+        for ((number, seen), residual) in self.seen.iter().zip(&self.found.places) {
             let [x, y, z]: [f64; 3] = (residual.residual_m * 1e3).into();
             let note = if residual.is_kept { "" } else { "contradicts the others: left out" };
             table.row([
-                place.number.to_string(),
-                place.frames.to_string(),
+                number.to_string(),
+                seen.frames.to_string(),
                 format!("{x:.1}"),
                 format!("{y:.1}"),
                 format!("{z:.1}"),

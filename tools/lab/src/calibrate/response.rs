@@ -1,12 +1,12 @@
-//! `flockeye calibrate response`: the camera's curve from light to code values, from an exposure series.
+//! `flockeye calibrate response`: the camera's curve from light to code values, from an exposure
+//! series.
 
 use std::fmt::Write as _;
 use std::path::PathBuf;
-use std::str::FromStr;
 
 use anyhow::{Context, anyhow, ensure};
 use clap::Args;
-use flockeye_cli::Screen;
+use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use flockeye_imaging::image::LumaImage;
 use flockeye_imaging::light::{CodeRange, LinearLight, TransferCurve};
 use flockeye_imaging::response::{
@@ -16,13 +16,16 @@ use opencv::imgcodecs::{IMREAD_GRAYSCALE, imread};
 use opencv::prelude::*;
 use serde_json::{Value, json};
 
+use super::show;
+
 /// Least rise from an entry of the printed table to the next, share of white's light.
 const LEAST_RISE: f64 = 1e-5;
 /// Codes from one entry of the printed table to the next, in full range.
 const TABLE_STEP: usize = 5;
 /// Codes between which deviations are told: beyond, hardly anything of a marker lies.
 const TOLD_CODES: std::ops::RangeInclusive<usize> = 20..=240;
-/// What errors are told for: a marker of 50 mm at 1.5 m, seen by a camera with 3840 px for the whole circle.
+/// What errors are told for: a marker of 50 mm at 1.5 m, seen by a camera with 3840 px for the
+/// whole circle.
 const MARKER_M: f64 = 0.05;
 const RANGE_M: f64 = 1.5;
 const PIXELS_PER_RADIAN: f64 = 3840.0 / std::f64::consts::TAU;
@@ -30,82 +33,67 @@ const PIXELS_PER_RADIAN: f64 = 3840.0 / std::f64::consts::TAU;
 /// Arguments of `calibrate response`.
 #[derive(Debug, Args)]
 pub struct CalibrateResponseArguments {
-    /// The pictures of one scene, from a tripod, and how long each was exposed: a.png=1/250 b.png=1/60 c.png=0.07.
-    /// Three or more, with everything automatic off.
-    #[arg(required = true, value_name = "PICTURE=SECONDS")]
-    pub pictures: Vec<PictureArgument>,
-    /// The range of the luma that the camera's video has: limited (16 to 235), as most have, or full. Pictures hold all of
-    /// 0 to 255, so for limited range the table is moved to 16 to 235.
-    #[arg(long, value_enum, default_value = "limited")]
-    pub range: VideoRange,
+    /// The pictures of one scene, from a tripod, and how long each was exposed: a.png=1/250
+    /// b.png=1/60 c.png=0.07. Three or more, with everything automatic off.
+    #[arg(required = true, value_name = "PICTURE=SECONDS", value_parser = picture)]
+    pub pictures: Vec<(PathBuf, f64)>,
+    /// The range of the luma that the camera's video has: limited (16 to 235), as most have, or
+    /// full. Pictures hold all of 0 to 255, so for limited range the table is moved to 16 to 235.
+    #[arg(long, default_value = "limited", value_parser = ranges())]
+    pub range: CodeRange,
     /// For a program.
     #[arg(long)]
     pub json: bool,
 }
 
-/// Which codes of the video stand for black and white.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
-pub enum VideoRange {
-    /// 16 and 235.
-    Limited,
-    /// 0 and 255.
-    Full,
+/// Reads which codes of the video stand for black and white.
+fn ranges() -> impl TypedValueParser<Value = CodeRange> {
+    let names = [
+        PossibleValue::new("limited").help("16 and 235"),
+        PossibleValue::new("full").help("0 and 255"),
+    ];
+    PossibleValuesParser::new(names).map(|name| match name.as_str() {
+        "full" => CodeRange::Full,
+        _ => CodeRange::Limited,
+    })
 }
 
-/// A picture and its exposure, as on the command line.
-#[derive(Debug, Clone, PartialEq)]
-pub struct PictureArgument {
-    file: PathBuf,
-    seconds: f64,
-}
-
-impl FromStr for PictureArgument {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        let (file, exposure) =
-            text.rsplit_once('=').ok_or("it must be PICTURE=SECONDS, as in a.png=1/250")?;
-        let number = |text: &str| -> Result<f64, String> {
-            text.trim().parse().map_err(|_| format!("'{text}' is no number of seconds"))
-        };
-        let seconds = match exposure.split_once('/') {
-            Some((one, parts)) => number(one)? / number(parts)?,
-            None => number(exposure)?,
-        };
-        if !(seconds > 0.0 && seconds.is_finite()) {
-            return Err(format!("an exposure of {exposure} s; it must be above 0"));
-        }
-        Ok(Self { file: file.into(), seconds })
+/// Reads a picture's file and its exposure, seconds.
+fn picture(text: &str) -> Result<(PathBuf, f64), String> {
+    let (file, exposure) =
+        text.rsplit_once('=').ok_or("it must be PICTURE=SECONDS, as in a.png=1/250")?;
+    let number = |text: &str| -> Result<f64, String> {
+        text.trim().parse().map_err(|_| format!("'{text}' is no number of seconds"))
+    };
+    let seconds = match exposure.split_once('/') {
+        Some((one, parts)) => number(one)? / number(parts)?,
+        None => number(exposure)?,
+    };
+    if !(seconds > 0.0 && seconds.is_finite()) {
+        return Err(format!("an exposure of {exposure} s; it must be above 0"));
     }
+    Ok((file.into(), seconds))
 }
 
 /// Measures the curve, and prints it as `pipeline.yaml` wants it.
-///
-/// # Errors
-/// A picture that cannot be read, or a series that does not tell: with what is missing.
 pub fn run(arguments: &CalibrateResponseArguments) -> anyhow::Result<()> {
     let found = of_pictures(&arguments.pictures, arguments.range)?;
-    let mut screen = Screen::new();
-    match arguments.json {
-        true => screen.line(&serde_json::to_string_pretty(&found.as_json())?),
-        false => screen.line(&found.text()),
-    }
-    Ok(())
+    show(arguments.json, || found.as_json(), || found.text())
 }
 
 /// A measured curve, and how well it is known.
-struct Found {
+struct ResponseReport {
     response: FittedResponse,
-    range: VideoRange,
+    range: CodeRange,
     /// Where edges would lie by the usual curves.
     usual: Vec<(&'static str, f64)>,
     pictures: usize,
 }
 
-fn of_pictures(pictures: &[PictureArgument], range: VideoRange) -> anyhow::Result<Found> {
+fn of_pictures(pictures: &[(PathBuf, f64)], range: CodeRange) -> anyhow::Result<ResponseReport> {
     let mats = pictures
         .iter()
-        .map(|PictureArgument { file, .. }| {
+        .map(|(file, _)| {
             let name = file.display();
             let path = file.to_str().with_context(|| format!("{name}: no UTF-8"))?;
             let mat = imread(path, IMREAD_GRAYSCALE).with_context(|| format!("{name}"))?;
@@ -114,13 +102,13 @@ fn of_pictures(pictures: &[PictureArgument], range: VideoRange) -> anyhow::Resul
         })
         .collect::<anyhow::Result<Vec<_>>>()?;
     let mut series = Vec::new();
-    for (mat, PictureArgument { seconds, .. }) in mats.iter().zip(pictures) {
+    for (mat, (_, seconds)) in mats.iter().zip(pictures) {
         let (width, height) = (mat.cols() as usize, mat.rows() as usize);
         let image = LumaImage::new(mat.data_bytes()?, width, height, width)?;
         series.push(Exposure { image, seconds: *seconds });
     }
     let response = fit_response(&series).map_err(|error| match pictures.get(index_of(&error)) {
-        Some(picture) => anyhow!("{error} ({})", picture.file.display()),
+        Some((file, _)) => anyhow!("{error} ({})", file.display()),
         None => anyhow!(error),
     })?;
     let usual = [
@@ -129,7 +117,7 @@ fn of_pictures(pictures: &[PictureArgument], range: VideoRange) -> anyhow::Resul
     ];
     let usual =
         usual.iter().map(|(name, curve)| (*name, edge_shift_px(curve, &response.light))).collect();
-    Ok(Found { response, range, usual, pictures: pictures.len() })
+    Ok(ResponseReport { response, range, usual, pictures: pictures.len() })
 }
 
 /// Which picture an error speaks of; beyond all of them if it is of none.
@@ -147,16 +135,17 @@ fn range_error_mm(shift_px: f64) -> f64 {
     1e3 * RANGE_M * 2.0 * shift_px.abs() / side_px
 }
 
-impl Found {
-    /// The curve at equal steps of the video's code, from 0 to 255. It rises from each entry to the next.
+impl ResponseReport {
+    /// The curve at equal steps of the video's code, from 0 to 255. It rises from each entry to the
+    /// next.
     fn table(&self) -> Vec<f64> {
         let light = &self.response.light;
         let mut table: Vec<f64> = match self.range {
-            VideoRange::Full => {
+            CodeRange::Full => {
                 (0..=255).step_by(TABLE_STEP).map(|code| light.between(code.into())).collect()
             }
             // 16 is no multiple of the step. Below it nothing is darker.
-            VideoRange::Limited => (0..=255)
+            CodeRange::Limited => (0..=255)
                 .map(|code| (f64::from(code) - 16.0) * 255.0 / 219.0)
                 .map(|code| if code < 0.0 { code * LEAST_RISE } else { light.between(code) })
                 .collect(),
@@ -253,7 +242,7 @@ mod tests {
     use super::*;
 
     /// Pictures of even greys in patches, by a camera whose codes are the 1.6th root of light.
-    fn photograph(folder: &Path, exposures: &[f64]) -> Vec<PictureArgument> {
+    fn photograph(folder: &Path, exposures: &[f64]) -> Vec<(PathBuf, f64)> {
         let lights: Vec<f64> = (0..400).map(|k| 0.003 * 1.0145f64.powi(k)).collect();
         exposures
             .iter()
@@ -268,7 +257,7 @@ mod tests {
                 let mat = Mat::new_rows_cols_with_data(240, 240, &pixels).unwrap();
                 let file = folder.join(format!("{number}.png"));
                 assert!(imwrite(file.to_str().unwrap(), &mat, &Vector::new()).unwrap());
-                PictureArgument { file, seconds }
+                (file, seconds)
             })
             .collect()
     }
@@ -277,7 +266,7 @@ mod tests {
     fn an_exposure_series_gives_the_cameras_curve() {
         let folder = tempfile::tempdir().unwrap();
         let pictures = photograph(folder.path(), &[0.0025, 0.005, 0.01, 0.02]);
-        let found = of_pictures(&pictures, VideoRange::Full).unwrap();
+        let found = of_pictures(&pictures, CodeRange::Full).unwrap();
         for (k, light) in found.table().into_iter().enumerate() {
             let code = TABLE_STEP * k;
             let expected = (code as f64 / 255.0).powf(1.6);
@@ -291,7 +280,7 @@ mod tests {
         assert!(found.usual.iter().all(|(_, shift_px)| shift_px.abs() > 5.0 * own_shift_px));
         assert_eq!(found.as_json()["response_table"].as_array().unwrap().len(), 52);
         // In limited range code 16 is black, and 235 what is white in the pictures.
-        let limited = of_pictures(&pictures, VideoRange::Limited).unwrap().table();
+        let limited = of_pictures(&pictures, CodeRange::Limited).unwrap().table();
         let (full, middle) = (found.response.light.of(128), limited[16 + 110]);
         assert!((middle / f64::from(full) - 1.0).abs() < 0.01, "{middle}, {full}");
         assert!((limited[235] - 1.0).abs() < 1e-3 && limited[16] < 1e-3 && limited[255] > 1.0);
@@ -300,8 +289,7 @@ mod tests {
 
     #[test]
     fn exposures_are_seconds_or_shares_of_them() {
-        let picture = |text: &str| text.parse::<PictureArgument>();
-        let expected = PictureArgument { file: "a=b.png".into(), seconds: 0.004 };
+        let expected = (PathBuf::from("a=b.png"), 0.004);
         assert_eq!(picture("a=b.png=1/250"), Ok(expected.clone()));
         assert_eq!(picture("a=b.png=0.004"), Ok(expected));
         for wrong in
@@ -315,11 +303,11 @@ mod tests {
     fn what_is_wrong_with_a_series_is_said_with_its_file() {
         let folder = tempfile::tempdir().unwrap();
         let mut pictures = photograph(folder.path(), &[0.005, 0.01, 0.02]);
-        let error = |pictures: &[PictureArgument]| {
-            format!("{:#}", of_pictures(pictures, VideoRange::Full).err().unwrap())
+        let error = |pictures: &[(PathBuf, f64)]| {
+            format!("{:#}", of_pictures(pictures, CodeRange::Full).err().unwrap())
         };
         assert!(error(&pictures[..2]).starts_with("2 pictures; 3 or more"));
-        pictures[1].file = folder.path().join("absent.png");
+        pictures[1].0 = folder.path().join("absent.png");
         assert!(
             error(&pictures).contains("absent.png cannot be read. Cure:"),
             "{}",
@@ -328,7 +316,7 @@ mod tests {
         let small = Mat::new_rows_cols_with_data(2, 2, &[1u8, 2, 3, 4]).unwrap();
         let file = folder.path().join("small.png");
         imwrite(file.to_str().unwrap(), &small, &Vector::new()).unwrap();
-        pictures[1].file = file;
+        pictures[1].0 = file;
         assert!(error(&pictures).contains("small.png"), "{}", error(&pictures));
     }
 }

@@ -4,36 +4,22 @@ use nalgebra::{
     Cholesky, DMatrix, DVector, Isometry3, Matrix2x6, Matrix6, Point3, Vector2, Vector6,
 };
 
-use super::descent::Adjust;
+use super::descent::{Adjust, BundleFrame, Equations, Reduced};
 use super::gauge;
-use super::sight::{ROBUST_SCALE, Sight, WEIGHTED_SHARE, by_motion, damped, moved};
+use super::weighted_ray::{ROBUST_SCALE, WEIGHTED_SHARE, WeightedRay, by_motion, damped, moved};
 use flockeye_geometry::body::{Body, Marker};
-use flockeye_geometry::pose::CornerRay;
 
 /// A marker in a frame.
-pub(super) struct Sighting {
+pub(super) struct MarkerSighting {
     /// Its index: in the body at first, then among the markers that are adjusted.
     pub marker: usize,
-    sights: [Sight; 4],
-}
-
-impl Sighting {
-    /// Its rays come by corner.
-    pub(super) fn new(marker: usize, rays: &[CornerRay; 4]) -> Self {
-        let sights = rays.each_ref().map(|ray| Sight::new(&ray.ray_in_camera, ray.deviation_rad));
-        Self { marker, sights }
-    }
-}
-
-/// A frame in which the body is seen.
-pub(super) struct Frame {
-    pub camera_from_markers: Isometry3<f64>,
-    pub sightings: Vec<Sighting>,
+    /// One for each corner.
+    pub rays: [WeightedRay; 4],
 }
 
 /// Everything that is adjusted together.
 pub(super) struct Bundle {
-    pub frames: Vec<Frame>,
+    pub frames: Vec<BundleFrame<MarkerSighting>>,
     pub markers_from_marker: Vec<Isometry3<f64>>,
     /// The printed corners in each marker's own frame.
     in_marker: Vec<[Point3<f64>; 4]>,
@@ -43,25 +29,19 @@ pub(super) struct Bundle {
     scale: f64,
 }
 
-/// A frame's part of the normal equations: its own block, its gradient, and the block with each of
-/// its sightings.
-type FramePart = (Matrix6<f64>, Vector6<f64>, Vec<Matrix6<f64>>);
+/// A block and a gradient for each marker, and a joint block for each sighting of a frame.
+type MarkerEquations = Equations<Vec<(Matrix6<f64>, Vector6<f64>)>, Vec<Matrix6<f64>>>;
 
 /// A step of each frame and of each marker: shift, then turn.
-pub(super) type Steps = (Vec<Vector6<f64>>, Vec<Vector6<f64>>);
-
-/// The normal equations, with the frames' part kept apart.
-pub(super) struct Equations {
-    frames: Vec<FramePart>,
-    markers: Vec<(Matrix6<f64>, Vector6<f64>)>,
-    /// Sum of weighted squared errors, and number of rays.
-    squares: f64,
-    rays: usize,
-}
+type Steps = (Vec<Vector6<f64>>, Vec<Vector6<f64>>);
 
 impl Bundle {
     /// A bundle of the markers `found` (indices into the body's), to which all sightings belong.
-    pub(super) fn new(body: &Body, found: &[usize], mut frames: Vec<Frame>) -> Self {
+    pub(super) fn new(
+        body: &Body,
+        found: &[usize],
+        mut frames: Vec<BundleFrame<MarkerSighting>>,
+    ) -> Self {
         for frame in &mut frames {
             // Both lists are complete: every sighting is of a marker that was found.
             frame.sightings.retain_mut(|seen| match found.binary_search(&seen.marker) {
@@ -94,11 +74,11 @@ impl Bundle {
 
     /// The equations of the markers alone (Schur's complement), and what each frame takes back from
     /// their solution.
-    fn reduced(&self, equations: &Equations, damping: f64) -> Option<Reduced> {
-        let count = equations.markers.len();
+    fn reduced(&self, equations: &MarkerEquations, damping: f64) -> Option<Reduced> {
+        let count = equations.shared.len();
         let (mut matrix, mut gradient) =
             (DMatrix::<f64>::zeros(6 * count, 6 * count), DVector::<f64>::zeros(6 * count));
-        for (k, (own, of_own)) in equations.markers.iter().enumerate() {
+        for (k, (own, of_own)) in equations.shared.iter().enumerate() {
             matrix.fixed_view_mut::<6, 6>(6 * k, 6 * k).copy_from(&damped(own, damping));
             gradient.fixed_rows_mut::<6>(6 * k).copy_from(of_own);
         }
@@ -147,7 +127,7 @@ impl Bundle {
     /// in stated deviations.
     pub(super) fn covariances(&self) -> Option<(Vec<Matrix6<f64>>, f64)> {
         let equations = self.equations();
-        let count = equations.markers.len();
+        let count = equations.shared.len();
         let unknowns = 6 * (self.frames.len() + count).saturating_sub(1);
         let freedom = (2 * equations.rays).checked_sub(unknowns).filter(|&left| left > 0)?;
         let scatter = equations.squares / (WEIGHTED_SHARE * freedom as f64);
@@ -165,7 +145,7 @@ impl Bundle {
 }
 
 impl Adjust for Bundle {
-    type Equations = Equations;
+    type Equations = MarkerEquations;
     type Step = Steps;
     type Unknowns = (Vec<Isometry3<f64>>, Vec<Isometry3<f64>>);
 
@@ -175,7 +155,7 @@ impl Adjust for Bundle {
                 let corners = self.corners(seen.marker);
                 (0..4).map(move |k| {
                     let in_camera = frame.camera_from_markers * corners[k];
-                    seen.sights[k].error(&in_camera.coords)
+                    seen.rays[k].error(&in_camera.coords)
                 })
             })
         })
@@ -210,11 +190,11 @@ impl Adjust for Bundle {
         self.markers_from_marker = markers;
     }
 
-    fn equations(&self) -> Equations {
+    fn equations(&self) -> MarkerEquations {
         let count = self.markers_from_marker.len();
         let mut equations = Equations {
+            shared: vec![(Matrix6::zeros(), Vector6::zeros()); count],
             frames: Vec::with_capacity(self.frames.len()),
-            markers: vec![(Matrix6::zeros(), Vector6::zeros()); count],
             squares: 0.0,
             rays: 0,
         };
@@ -222,11 +202,11 @@ impl Adjust for Bundle {
             let (mut own, mut gradient) = (Matrix6::zeros(), Vector6::zeros());
             let mut joint = vec![Matrix6::zeros(); frame.sightings.len()];
             for (seen, joint) in frame.sightings.iter().zip(&mut joint) {
-                let of_marker = &mut equations.markers[seen.marker];
+                let of_marker = &mut equations.shared[seen.marker];
                 let pose = &self.markers_from_marker[seen.marker];
-                for (sight, corner) in seen.sights.iter().zip(&self.in_marker[seen.marker]) {
+                for (ray, corner) in seen.rays.iter().zip(&self.in_marker[seen.marker]) {
                     let (error, by_frame, by_marker) =
-                        linearized(sight, &frame.camera_from_markers, pose, corner);
+                        linearized(ray, &frame.camera_from_markers, pose, corner);
                     let squared = error.norm_squared();
                     let weight = 1.0 / (1.0 + squared / (self.scale * self.scale));
                     let (of_frame, of_own) =
@@ -246,10 +226,10 @@ impl Adjust for Bundle {
     }
 
     /// The damped step of every frame and every marker, which keeps the body as a whole in place.
-    fn step(&self, equations: &Equations, damping: f64) -> Option<Steps> {
+    fn step(&self, equations: &MarkerEquations, damping: f64) -> Option<Steps> {
         let reduced = self.reduced(equations, damping)?;
         let solved = self.held(reduced.matrix)?.0.solve(&-reduced.gradient);
-        let markers: Vec<Vector6<f64>> = (0..equations.markers.len())
+        let markers: Vec<Vector6<f64>> = (0..equations.shared.len())
             .map(|k| solved.fixed_rows::<6>(6 * k).into_owned())
             .collect();
         let frames = self.frames.iter().zip(&equations.frames).zip(&reduced.inverses);
@@ -262,17 +242,10 @@ impl Adjust for Bundle {
     }
 }
 
-struct Reduced {
-    matrix: DMatrix<f64>,
-    gradient: DVector<f64>,
-    /// Inverses of the frames' own blocks.
-    inverses: Vec<Matrix6<f64>>,
-}
-
-/// A ray's error with its derivatives by the frame's pose and by the marker's: shift, then turn about the
-/// own origin, in the camera's axes and in the markers'.
+/// A ray's error with its derivatives by the frame's pose and by the marker's: shift, then turn
+/// about the own origin, in the camera's axes and in the markers'.
 fn linearized(
-    sight: &Sight,
+    ray: &WeightedRay,
     camera_from_markers: &Isometry3<f64>,
     markers_from_marker: &Isometry3<f64>,
     corner: &Point3<f64>,
@@ -281,7 +254,7 @@ fn linearized(
     let in_markers = arm_of_marker + markers_from_marker.translation.vector;
     let arm_of_body = camera_from_markers.rotation * in_markers;
     let in_camera = arm_of_body + camera_from_markers.translation.vector;
-    let (error, by_point) = sight.linearized(&in_camera);
+    let (error, by_point) = ray.linearized(&in_camera);
     let by_point_of_body = by_point * camera_from_markers.rotation.to_rotation_matrix().matrix();
     (error, by_motion(&by_point, &arm_of_body), by_motion(&by_point_of_body, &arm_of_marker))
 }

@@ -1,9 +1,9 @@
 //! A body as it was really glued: its markers' poses from frames in which several are seen.
 //!
-//! Printed and glued markers are off by a millimetre and a degree, which no pose can be better than.
-//! [`calibrate`] refines every marker's pose on the body, together with the body's pose in every
-//! frame, on all corner rays at once (bundle adjustment: Triggs, McLauchlan, Hartley, Fitzgibbon,
-//! "Bundle Adjustment: A Modern Synthesis", 2000):
+//! Printed and glued markers are off by a millimetre and a degree, which no pose can be better
+//! than. [`calibrate`] refines every marker's pose on the body, together with the body's pose in
+//! every frame, on all corner rays at once (bundle adjustment: Triggs, McLauchlan, Hartley,
+//! Fitzgibbon, "Bundle Adjustment: A Modern Synthesis", 2000):
 //! - unknown are `camera_from_markers` of each frame and `markers_from_marker` of each marker; the
 //!   markers' printed size is known, and gives the scale;
 //! - Levenberg-Marquardt over the angular errors, with Cauchy's robust cost, whose scale follows the
@@ -15,25 +15,21 @@
 use nalgebra::{Isometry3, Matrix6, Vector3};
 
 use flockeye_geometry::body::{Body, Marker};
-use flockeye_geometry::pose::{CornerRay, PoseDeviations, PoseOptions, keep_sharpest, solve};
+use flockeye_geometry::pose::{
+    CornerRay, keep_sharpest, position_deviation_m, rotation_deviation_rad, solve,
+};
 
-use super::adjust::{Bundle, Frame, Sighting};
-use super::descent::Adjust;
+use super::CalibrationError;
+use super::adjust::{Bundle, MarkerSighting};
+use super::descent::{Adjust, BundleFrame};
+use super::weighted_ray::WeightedRay;
 
-/// What a calibration needs.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct CalibrationOptions {
-    /// Frames with two markers or more.
-    pub least_frames: usize,
-    /// Frames in which a marker is seen beside another one; markers with fewer stay as designed.
-    pub least_sightings: usize,
-}
+/// Fewest frames with two markers or more.
+const LEAST_FRAMES: usize = 30;
+/// Fewest frames in which a marker is seen beside another one. Markers with fewer stay as designed.
+const LEAST_SIGHTINGS: usize = 10;
 
-impl Default for CalibrationOptions {
-    fn default() -> Self {
-        Self { least_frames: 30, least_sightings: 10 }
-    }
-}
+type BodyFrame = BundleFrame<MarkerSighting>;
 
 /// A marker as it was found.
 #[derive(Debug, Clone, PartialEq)]
@@ -44,8 +40,8 @@ pub struct CalibratedMarker {
     pub shift_m: Vector3<f64>,
     /// The rotation vector from the designed orientation to the found one, in the markers' frame.
     pub turn_rad: Vector3<f64>,
-    /// Covariance of both, shift first, from the normal matrix; enlarged where the rays scatter more
-    /// than they state.
+    /// Covariance of both, shift first, from the normal matrix; enlarged where the rays scatter
+    /// more than they state.
     pub covariance: Matrix6<f64>,
     /// Frames that it was found in.
     pub frames: usize,
@@ -54,12 +50,12 @@ pub struct CalibratedMarker {
 impl CalibratedMarker {
     /// Standard deviation of its place: the root of the expected squared distance, metres.
     pub fn shift_deviation_m(&self) -> f64 {
-        PoseDeviations::of(&self.covariance).position_m
+        position_deviation_m(&self.covariance)
     }
 
     /// Standard deviation of its orientation: the root of the expected squared angle, radians.
     pub fn turn_deviation_rad(&self) -> f64 {
-        PoseDeviations::of(&self.covariance).rotation_rad
+        rotation_deviation_rad(&self.covariance)
     }
 }
 
@@ -78,70 +74,24 @@ pub struct BodyCalibration {
     pub scatter: f64,
 }
 
-/// Why a body cannot be calibrated.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub enum CalibrationError {
-    /// Too few frames tell where markers are relative to each other.
-    #[error(
-        "body '{body}' was seen with two markers or more in {frames} frames; {needed} are needed. \
-         Cure: record longer and nearer, so that several markers are read in each frame"
-    )]
-    TooFewFrames {
-        /// The body.
-        body: String,
-        /// Frames that count.
-        frames: usize,
-        /// Frames that are needed.
-        needed: usize,
-    },
-    /// Markers that were never seen together with the others.
-    #[error(
-        "markers {apart:?} of body '{body}' were never seen together with marker {with}. Cure: turn \
-         the body so that they are seen in one frame, {needed} frames or more"
-    )]
-    Apart {
-        /// The body.
-        body: String,
-        /// These,
-        apart: Vec<u32>,
-        /// and the first of the others.
-        with: u32,
-        /// Frames that are needed.
-        needed: usize,
-    },
-    /// The frames do not determine the markers' places.
-    #[error(
-        "the frames do not determine the markers of body '{body}'. Cure: record it nearer and from \
-         more sides"
-    )]
-    Undetermined {
-        /// The body.
-        body: String,
-    },
-}
-
-/// Finds the markers of `body` from the rays of many frames, each with the corners that were seen in
-/// it (of this body or not, each corner as often as it was seen).
+/// Finds the markers of `body` from the rays of many frames, each with the corners that were seen
+/// in it (of this body or not, each corner as often as it was seen).
 ///
 /// Frames whose pose is ambiguous do not count, nor do markers that do not fit a frame's pose.
-///
-/// # Errors
-/// [`CalibrationError`]: too few frames, or markers that nothing connects.
 pub fn calibrate(
     body: &Body,
     frames: &[Vec<CornerRay>],
-    options: &CalibrationOptions,
 ) -> Result<BodyCalibration, CalibrationError> {
-    let mut seen: Vec<Frame> = frames.iter().filter_map(|rays| frame(body, rays)).collect();
-    let sightings = keep_connected(body, &mut seen, options)?;
+    let mut seen: Vec<BodyFrame> = frames.iter().filter_map(|rays| frame(body, rays)).collect();
+    let sightings = keep_connected(body, &mut seen)?;
     let designed: Vec<Isometry3<f64>> =
         body.markers.iter().map(Marker::markers_from_marker).collect();
     let found: Vec<usize> =
-        (0..sightings.len()).filter(|&k| sightings[k] >= options.least_sightings).collect();
+        (0..sightings.len()).filter(|&k| sightings[k] >= LEAST_SIGHTINGS).collect();
     let mut bundle = Bundle::new(body, &found, seen);
     bundle.adjust();
     bundle.align();
-    let undetermined = || CalibrationError::Undetermined { body: body.name.clone() };
+    let undetermined = || CalibrationError::BodyUndetermined { body: body.name.clone() };
     let (covariances, scatter) = bundle.covariances().ok_or_else(undetermined)?;
     let markers: Vec<CalibratedMarker> = found
         .iter()
@@ -168,17 +118,17 @@ pub fn calibrate(
     Ok(BodyCalibration { body, markers, left, frames: bundle.frames.len(), scatter })
 }
 
-/// What a frame says: the body's pose, and the rays of the markers that fit it. `None` where that is
-/// fewer than two, or where another pose explains them nearly as well.
-fn frame(body: &Body, rays: &[CornerRay]) -> Option<Frame> {
+/// What a frame says: the body's pose, and the rays of the markers that fit it. `None` where that
+/// is fewer than two, or where another pose explains them nearly as well.
+fn frame(body: &Body, rays: &[CornerRay]) -> Option<BodyFrame> {
     let rays = keep_sharpest(rays);
-    let solutions = solve(body, &rays, &PoseOptions::default()).ok()?;
+    let solutions = solve(body, &rays).ok()?;
     let (best, others) = solutions.split_first()?;
     // Where facets are off, no pose fits; a mirrored one is worse by much more.
     if others.iter().any(|other| other.cost < 1.5 * best.cost + 20.0) {
         return None;
     }
-    let sightings: Vec<Sighting> = best
+    let sightings: Vec<MarkerSighting> = best
         .inlier_markers
         .iter()
         .filter_map(|&id| {
@@ -186,21 +136,20 @@ fn frame(body: &Body, rays: &[CornerRay]) -> Option<Frame> {
             let own: Vec<CornerRay> =
                 rays.iter().filter(|ray| ray.marker_id == id).copied().collect();
             let rays: [CornerRay; 4] = own.try_into().ok()?;
-            Some(Sighting::new(marker, &rays))
+            Some(MarkerSighting { marker, rays: rays.each_ref().map(WeightedRay::new) })
         })
         .collect();
     let camera_from_markers = best.camera_from_markers;
-    (sightings.len() >= 2).then_some(Frame { camera_from_markers, sightings })
+    (sightings.len() >= 2).then_some(BodyFrame { camera_from_markers, sightings })
 }
 
 /// Drops the markers that are seen too seldom, and the frames that are left with one, until nothing
 /// changes. Gives for each marker of the body the frames it is seen in.
 fn keep_connected(
     body: &Body,
-    frames: &mut Vec<Frame>,
-    options: &CalibrationOptions,
+    frames: &mut Vec<BodyFrame>,
 ) -> Result<Vec<usize>, CalibrationError> {
-    let count = |frames: &[Frame]| {
+    let count = |frames: &[BodyFrame]| {
         let mut counts = vec![0usize; body.markers.len()];
         frames.iter().flat_map(|f| &f.sightings).for_each(|seen| counts[seen.marker] += 1);
         counts
@@ -209,18 +158,18 @@ fn keep_connected(
     loop {
         let (counts, before) = (count(frames), frames.len());
         for frame in frames.iter_mut() {
-            frame.sightings.retain(|seen| counts[seen.marker] >= options.least_sightings);
+            frame.sightings.retain(|seen| counts[seen.marker] >= LEAST_SIGHTINGS);
         }
         frames.retain(|frame| frame.sightings.len() >= 2);
-        let is_stable = counts.iter().all(|&n| n == 0 || n >= options.least_sightings);
+        let is_stable = counts.iter().all(|&n| n == 0 || n >= LEAST_SIGHTINGS);
         if is_stable && frames.len() == before {
             break;
         }
     }
-    let (needed, counts) = (options.least_frames, count(frames));
+    let (needed, counts) = (LEAST_FRAMES, count(frames));
     if frames.len() < needed {
         let (body, frames) = (body.name.clone(), frames.len());
-        return Err(CalibrationError::TooFewFrames { body, frames, needed });
+        return Err(CalibrationError::BodySeldomSeen { body, frames, needed });
     }
     // Spread from the first marker over all that are seen together.
     let Some(first) = counts.iter().position(|&n| n > 0) else { return Ok(at_first) };
@@ -241,12 +190,12 @@ fn keep_connected(
     let apart: Vec<u32> =
         (0..counts.len()).filter(|&k| counts[k] > 0 && !reached[k]).map(id).collect();
     if !apart.is_empty() {
-        let (body, with, needed) = (body.name.clone(), id(first), options.least_sightings);
-        return Err(CalibrationError::Apart { body, apart, with, needed });
+        let (body, with, needed) = (body.name.clone(), id(first), LEAST_SIGHTINGS);
+        return Err(CalibrationError::MarkersApart { body, apart, with, needed });
     }
     // Dropped markers keep the number that was too small.
     let kept = counts.iter().zip(&at_first);
-    let seldom = options.least_sightings.saturating_sub(1);
+    let seldom = LEAST_SIGHTINGS - 1;
     Ok(kept.map(|(&now, &before)| if now > 0 { now } else { before.min(seldom) }).collect())
 }
 

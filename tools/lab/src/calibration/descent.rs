@@ -1,8 +1,8 @@
 //! Levenberg-Marquardt with a robust scale, as all adjustments of rays do it.
 
-use nalgebra::Vector2;
+use nalgebra::{DMatrix, DVector, Isometry3, Matrix6, Vector2, Vector6};
 
-use super::sight::{ROBUST_SCALE, cauchy, spread};
+use super::weighted_ray::{ROBUST_SCALE, cauchy, spread};
 
 /// Most steps for one scale, and most scales.
 const MAX_STEPS: usize = 60;
@@ -14,20 +14,43 @@ const LARGEST_DAMPING: f64 = 1e6;
 /// A step that lowers the cost by a smaller share is the last.
 const LEAST_GAIN: f64 = 1e-9;
 
+/// A frame in which markers of the body are seen.
+pub(super) struct BundleFrame<Sighting> {
+    pub camera_from_markers: Isometry3<f64>,
+    pub sightings: Vec<Sighting>,
+}
+
+/// The normal equations, with the frames' part kept apart.
+pub(super) struct Equations<Shared, Joint> {
+    /// What all frames share: the markers, or the lenses.
+    pub shared: Shared,
+    /// Each frame's own block, its gradient, and the block that joins it with what is shared.
+    pub frames: Vec<(Matrix6<f64>, Vector6<f64>, Joint)>,
+    /// Sum of weighted squared errors, and number of rays.
+    pub squares: f64,
+    pub rays: usize,
+}
+
+/// The equations of what is shared alone (Schur's complement).
+pub(super) struct Reduced {
+    pub matrix: DMatrix<f64>,
+    pub gradient: DVector<f64>,
+    /// Inverses of the frames' own blocks.
+    pub inverses: Vec<Matrix6<f64>>,
+}
+
 /// Something with unknowns that rays tell.
 pub(super) trait Adjust {
     /// The normal equations, reweighted for the robust cost.
     type Equations;
     /// A step of all unknowns.
     type Step;
-    /// All unknowns.
     type Unknowns;
 
     /// Errors of all rays, in stated deviations.
     fn errors(&self) -> impl Iterator<Item = Vector2<f64>>;
     /// Scale of the robust cost, in stated deviations.
     fn scale(&self) -> f64;
-    /// Sets it.
     fn set_scale(&mut self, scale: f64);
     /// The equations at the present unknowns.
     fn equations(&self) -> Self::Equations;

@@ -1,33 +1,36 @@
-//! How the two lenses of a camera lie to each other: from frames in which a body spans the seam between them.
+//! How the two lenses of a camera lie to each other: from frames in which a body spans the seam
+//! between them.
 //!
-//! In such a frame some markers of a body are seen by one lens, others by the other one. The body is rigid, so
-//! both must see it at one pose. [`calibrate`] adjusts the body's pose in every frame together with what the
-//! camera's model has for its lenses: the distance between them (a stitched image), or the pose of the second
-//! lens (two fisheyes, where the first stays). Nothing is assumed about how the body or the camera moves.
+//! In such a frame some markers of a body are seen by one lens, others by the other one. The body
+//! is rigid, so both must see it at one pose. [`calibrate`] adjusts the body's pose in every frame
+//! together with what the camera's model has for its lenses: the distance between them (a stitched
+//! image), or the pose of the second lens (two fisheyes, where the first stays). Nothing is assumed
+//! about how the body or the camera moves.
 //!
-//! A shift and a turn of the second lens do the same to a body at one place of the seam. They differ where the
-//! body is seen at several places round the seam, or at several distances.
+//! A shift and a turn of the second lens do the same to a body at one place of the seam. They
+//! differ where the body is seen at several places round the seam, or at several distances.
 
 mod adjust;
-mod seam;
 
 use nalgebra::{Isometry3, Matrix6, Vector3, Vector6};
 
+use super::CalibrationError;
 use super::descent::Adjust;
 use super::leverage::worst_error_m;
-use super::sight::{Sight, difference};
-use adjust::{Adjustment, Unknowns};
+use super::weighted_ray::{WeightedRay, difference};
+use adjust::{Adjustment, LensSighting, SeamFrame};
 use flockeye_geometry::body::Body;
 use flockeye_geometry::camera::{Camera, CameraModel, LensRay};
-use flockeye_geometry::pose::{CornerRay, PoseOptions, keep_sharpest, solve};
+use flockeye_geometry::pose::{CornerRay, keep_sharpest, solve};
 use flockeye_geometry::statistics::median;
-use seam::{LensSighting, SeamFrame};
 
 /// Fewest frames in which a body spans the seam.
-pub const LEAST_FRAMES: usize = 12;
-/// A corner nearer to the seam than this is not used, radians: the other lens' picture reaches into its edges.
+const LEAST_FRAMES: usize = 12;
+/// A corner nearer to the seam than this is not used, radians: the other lens' picture reaches into
+/// its edges.
 const SEAM_MARGIN_RAD: f64 = 0.01;
-/// What the other lens sees farther from where the body must be than this is another thing, radians.
+/// What the other lens sees farther from where the body must be than this is another thing,
+/// radians.
 const FARTHEST_RAD: f64 = 0.15;
 /// Two poses of a body that are turned by less than this are the same, radians.
 const SAME_TURN_RAD: f64 = 0.3;
@@ -62,8 +65,8 @@ pub enum FoundLenses {
 pub struct LensCalibration {
     /// Theirs, with the deviations enlarged where rays scatter more than they state.
     pub found: FoundLenses,
-    /// From what was configured: shift (m), then rotation vector (rad) of the second lens against the first, in
-    /// the camera's axes.
+    /// From what was configured: shift (m), then rotation vector (rad) of the second lens against
+    /// the first, in the camera's axes.
     pub change: Vector6<f64>,
     /// Frames that counted; a frame with two bodies across the seam counts twice.
     pub frames: usize,
@@ -71,7 +74,8 @@ pub struct LensCalibration {
     pub left_out: usize,
     /// Where on the seam the bodies were: ahead, back, left, right, above, below.
     pub sides: [usize; 6],
-    /// Errors of the rays that remain, in their stated standard deviations: 1 if these and the model are right.
+    /// Errors of the rays that remain, in their stated standard deviations: 1 if these and the
+    /// model are right.
     pub scatter: f64,
     /// Scatter with the lenses as configured.
     pub scatter_before: f64,
@@ -84,8 +88,8 @@ pub struct LensCalibration {
 }
 
 impl LensCalibration {
-    /// What the uncertainty makes of the position of a neighbour that the second lens sees this far away, in
-    /// the worst direction: the root of the expected squared error, metres.
+    /// What the uncertainty makes of the position of a neighbour that the second lens sees this far
+    /// away, in the worst direction: the root of the expected squared error, metres.
     pub fn error_at_m(&self, distance_m: f64) -> f64 {
         self.share * self.worst(&self.covariance, distance_m / self.share)
     }
@@ -101,71 +105,31 @@ impl LensCalibration {
     }
 }
 
-/// Why lenses cannot be calibrated.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub enum LensCalibrationError {
-    /// A model in which there are no two lenses.
-    #[error(
-        "a camera of this projection has one centre. Cure: camera.projection equirectangular or dual_fisheye, if \
-         it has two lenses"
-    )]
-    OneCentre,
-    /// Too few frames in which the seam is spanned.
-    #[error(
-        "in {frames} frames both lenses saw markers of one body; {needed} are needed. Cure: carry the body \
-         slowly across the seam between the lenses, 0.3 to 0.8 m away, so that some of its markers are left and \
-         some right of it, or use a larger body"
-    )]
-    TooFewFrames {
-        /// Frames that count.
-        frames: usize,
-        /// Frames that are needed.
-        needed: usize,
-    },
-    /// Frames that do not tell everything.
-    #[error(
-        "the frames leave the lenses open: {what} would be known to +- {deviation:.1} {unit} only. Cure: carry \
-         the body across the seam at several places round it (left, right, above, below), near and far"
-    )]
-    Undetermined {
-        /// What is known worst.
-        what: &'static str,
-        /// How well, in that unit.
-        deviation: f64,
-        /// mm or degrees.
-        unit: &'static str,
-    },
-}
-
-/// Finds how the lenses of `camera` lie to each other from the rays of many frames, each with the corners that
-/// were seen in it. Rays are right for the distance that `camera` is right for.
+/// Finds how the lenses of `camera` lie to each other from the rays of many frames, each with the
+/// corners that were seen in it. Rays are right for the distance that `camera` is right for.
 ///
-/// Frames in which no body spans the seam say nothing and do not count, nor do markers across or next to the
-/// seam, nor frames whose pose is ambiguous.
-///
-/// # Errors
-/// [`LensCalibrationError`]: a camera with one centre, too few frames, or frames that leave something open.
+/// Frames in which no body spans the seam say nothing and do not count, nor do markers across or
+/// next to the seam, nor frames whose pose is ambiguous.
 pub fn calibrate(
     camera: &Camera,
     bodies: &[Body],
     frames: &[Vec<CornerRay>],
-) -> Result<LensCalibration, LensCalibrationError> {
-    let positions = camera.lens_positions().ok_or(LensCalibrationError::OneCentre)?;
+) -> Result<LensCalibration, CalibrationError> {
+    let positions = camera.lens_positions().ok_or(CalibrationError::OneCentre)?;
     let of_bodies = |rays: &Vec<CornerRay>| -> Vec<SeamFrame> {
         bodies.iter().filter_map(|body| seam_frame(camera, &positions, body, rays)).collect()
     };
     let spanned: Vec<SeamFrame> = frames.iter().flat_map(of_bodies).collect();
     if spanned.len() < LEAST_FRAMES {
         let (frames, needed) = (spanned.len(), LEAST_FRAMES);
-        return Err(LensCalibrationError::TooFewFrames { frames, needed });
+        return Err(CalibrationError::SeamSeldomSpanned { frames, needed });
     }
-    let unknowns = match camera.model() {
-        CameraModel::DualFisheye(_) => Unknowns::SecondLens,
+    let mut adjustment = match camera.model() {
+        CameraModel::DualFisheye(_) => Adjustment::of_second_lens(positions, spanned),
         CameraModel::Equirectangular { .. } | CameraModel::Stereographic { .. } => {
-            Unknowns::Distance
+            Adjustment::of_distance(positions, spanned)
         }
     };
-    let mut adjustment = Adjustment::new(positions, unknowns, spanned);
     let scatter_before = adjustment.scatter_as_configured();
     adjustment.adjust();
     let left_out = adjustment.leave_out_misfits();
@@ -218,12 +182,12 @@ pub fn calibrate(
     })
 }
 
-fn undetermined(shift_m: f64, turn_rad: f64) -> LensCalibrationError {
+fn undetermined(shift_m: f64, turn_rad: f64) -> CalibrationError {
     let (what, deviation, unit) = match turn_rad / WORST_TURN_RAD > shift_m / WORST_SHIFT_M {
         true => ("the second lens' turn", turn_rad.to_degrees(), "degrees"),
         false => ("the second lens' place", shift_m * 1e3, "mm"),
     };
-    LensCalibrationError::Undetermined { what, deviation, unit }
+    CalibrationError::LensesUndetermined { what, deviation, unit }
 }
 
 /// Where on the seam the bodies were: ahead, back, left, right, above, below.
@@ -237,8 +201,8 @@ fn sides(frames: &[SeamFrame]) -> [usize; 6] {
     sides
 }
 
-/// What a frame says of a body: its pose by the lens that sees more of it, and what each lens sees. `None`
-/// where only one sees it, or where its pose is ambiguous.
+/// What a frame says of a body: its pose by the lens that sees more of it, and what each lens sees.
+/// `None` where only one sees it, or where its pose is ambiguous.
 fn seam_frame(
     camera: &Camera,
     positions: &[Vector3<f64>; 2],
@@ -257,9 +221,9 @@ fn seam_frame(
         return None;
     }
     let first = usize::from(by_lens[1].len() > by_lens[0].len());
-    let solutions = solve(body, &by_lens[first], &PoseOptions::default()).ok()?;
+    let solutions = solve(body, &by_lens[first]).ok()?;
     let least = solutions.first()?.cost;
-    let candidates: Vec<Candidate<'_>> = solutions
+    let candidates: Vec<PoseCandidate<'_>> = solutions
         .iter()
         // What the first lens itself refutes is no candidate.
         .take_while(|solution| solution.cost < 1.5 * least + 20.0)
@@ -273,7 +237,7 @@ fn seam_frame(
                 .flatten()
                 .collect();
             angles.sort_by(f64::total_cmp);
-            Candidate {
+            PoseCandidate {
                 camera_from_markers,
                 inliers: &solution.inlier_markers,
                 near: angles.len(),
@@ -289,8 +253,8 @@ fn seam_frame(
             true => best.inliers.contains(&rays[0].marker_id),
             false => angles(body, &best.camera_from_markers, &positions[lens], marker).is_some(),
         };
-        let sights = rays.each_ref().map(|ray| Sight::new(&ray.ray_in_camera, ray.deviation_rad));
-        is_the_bodys.then_some(LensSighting { lens, corners, sights })
+        let rays = rays.each_ref().map(WeightedRay::new);
+        is_the_bodys.then_some(LensSighting { lens, corners, rays })
     };
     let of_lens =
         |lens: usize| markers(&by_lens[lens]).filter_map(move |marker| sighting(lens, marker));
@@ -306,18 +270,20 @@ fn markers(rays: &[CornerRay]) -> impl Iterator<Item = &[CornerRay]> {
 }
 
 /// A pose by one lens, and where it puts what the other one sees.
-struct Candidate<'a> {
+struct PoseCandidate<'a> {
     camera_from_markers: Isometry3<f64>,
     inliers: &'a [u32],
-    /// Corners of the other lens' markers that are about where it puts them, and how far off these are.
+    /// Corners of the other lens' markers that are about where it puts them, and how far off these
+    /// are.
     near: usize,
     off_rad: f64,
 }
 
-/// The candidate that puts most of what the other lens sees to about where it is. `None` if there is none, or
-/// if another one, turned otherwise, does about as well: a few markers in one plane have a mirrored pose.
-fn clearly_nearest<'a, 'b>(candidates: &'a [Candidate<'b>]) -> Option<&'a Candidate<'b>> {
-    let rank = |a: &&Candidate<'_>, b: &&Candidate<'_>| {
+/// The candidate that puts most of what the other lens sees to about where it is. `None` if there
+/// is none, or if another one, turned otherwise, does about as well: a few markers in one plane
+/// have a mirrored pose.
+fn clearly_nearest<'a, 'b>(candidates: &'a [PoseCandidate<'b>]) -> Option<&'a PoseCandidate<'b>> {
+    let rank = |a: &&PoseCandidate<'_>, b: &&PoseCandidate<'_>| {
         b.near.cmp(&a.near).then(a.off_rad.total_cmp(&b.off_rad))
     };
     let best = candidates.iter().filter(|candidate| candidate.near > 0).min_by(rank)?;
@@ -330,8 +296,8 @@ fn clearly_nearest<'a, 'b>(candidates: &'a [Candidate<'b>]) -> Option<&'a Candid
     (!rivals).then_some(best)
 }
 
-/// Angles between the rays of a marker and where a pose puts its corners, seen from a lens. `None` if one of
-/// them is so large that it is another thing.
+/// Angles between the rays of a marker and where a pose puts its corners, seen from a lens. `None`
+/// if one of them is so large that it is another thing.
 fn angles(
     body: &Body,
     camera_from_markers: &Isometry3<f64>,
@@ -346,8 +312,8 @@ fn angles(
     marker.iter().map(angle).collect()
 }
 
-/// The four corners of a marker as the lens sees them that sees all of it, with rays from that lens in the
-/// camera's axes. `None` for a marker across the seam, or next to it.
+/// The four corners of a marker as the lens sees them that sees all of it, with rays from that lens
+/// in the camera's axes. `None` for a marker across the seam, or next to it.
 fn by_one_lens(camera: &Camera, marker: &[CornerRay]) -> Option<(usize, Vec<CornerRay>)> {
     let seen: Option<Vec<LensRay>> =
         marker.iter().map(|ray| camera.lens_ray(&ray.ray_in_camera)).collect();

@@ -9,12 +9,12 @@ const DIRECTIONS: u32 = 2000;
 /// The angle from one to the next round the axis: pi (3 - sqrt 5), radians.
 const GOLDEN_ANGLE: f64 = 2.399_963_229_728_653;
 
-/// How far off a thing at `distance_m` from a transform's source is seen, in the worst direction: the root of
-/// the expected squared distance, metres.
+/// How far off a thing at `distance_m` from a transform's source is seen, in the worst direction:
+/// the root of the expected squared distance, metres.
 ///
-/// `covariance` is the transform's: position (m), then rotation vector (rad) about the source's origin, both
-/// in the target's axes. For one known error `e` instead, it is `e * e.transpose()`. Only directions that
-/// `is_seen` (unit vectors in the target's axes) count.
+/// `covariance` is the transform's: position (m), then rotation vector (rad) about the source's
+/// origin, both in the target's axes. For one known error `e` instead, it is `e * e.transpose()`.
+/// Only directions that `is_seen` (unit vectors in the target's axes) count.
 pub fn worst_error_m(
     covariance: &Matrix6<f64>,
     distance_m: f64,
@@ -58,7 +58,8 @@ mod tests {
         assert!((of(shift, 1.5) - 0.005).abs() < 1e-9);
         let turn = Vector6::new(0.0, 0.0, 0.0, 0.0, 0.0, 0.01);
         assert!((of(turn, 1.5) - 0.015).abs() < 1e-5);
-        // 0.01 rad about z move what is straight ahead by 15 mm to the left, what is behind to the right.
+        // 0.01 rad about z move what is straight ahead by 15 mm to the left, what is behind to the
+        // right.
         let both = Vector6::new(0.0, 0.003, 0.0, 0.0, 0.0, 0.01);
         assert!((of(both, 1.5) - 0.018).abs() < 1e-5);
         let behind = worst_error_m(&(both * both.transpose()), 1.5, |to| to.x < -0.999);

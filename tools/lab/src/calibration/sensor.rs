@@ -1,25 +1,25 @@
-//! Mounting, time offset and bias of an inertial sensor, from a flight of which nothing is known before.
+//! Mounting, time offset and bias of an inertial sensor, from a flight of which nothing is known
+//! before.
 //!
-//! For each time offset within [`SEARCHED_S`] the mounting and the bias that agree best with the picture's
-//! rates have a closed form (Kabsch, Acta Crystallographica A32, 1976). The best offset's solution is refined
-//! by Gauss-Newton steps over all seven unknowns, whose normal matrix states the deviations.
+//! For each time offset within [`SEARCHED_S`] the mounting and the bias that agree best with the
+//! picture's rates have a closed form (Kabsch, Acta Crystallographica A32, 1976). The best offset's
+//! solution is refined by Gauss-Newton steps over all seven unknowns, whose normal matrix states
+//! the deviations.
 
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 
+use super::error::{CalibrationError, LEAST_FRAMES, SEARCHED_S};
 use flockeye_geometry::inertial::RateRecord;
 use flockeye_geometry::inertial::errors::{Matrix7, Vector7, by_errors};
 
-/// Time offsets are searched up to this, either way, seconds.
-pub const SEARCHED_S: f64 = 0.8;
 /// The first search's step, seconds: rates of drones change slowly over it.
 const STEP_S: f64 = 0.005;
-/// Fewest comparisons that can be calibrated from.
-const FEWEST: usize = 30;
 /// Steps of refinement. The closed form is within milliseconds and tenths of degrees already.
 const REFINEMENTS: usize = 5;
 /// Deviations beyond which a residual counts as the picture's error and is left out.
 const OUTLIER: f64 = 4.0;
-/// Share of the rates' variation that is left at least where sensor and picture do not belong together.
+/// Share of the rates' variation that is left at least where sensor and picture do not belong
+/// together.
 const UNRELATED: f64 = 0.5;
 
 /// Ratio by which mirrored axes must leave less than proper ones to count as mirrored.
@@ -55,51 +55,11 @@ pub struct SensorCalibration {
     pub comparisons: usize,
 }
 
-/// Why there is no calibration.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub enum CalibrationError {
-    /// Too little was recorded by both.
-    #[error(
-        "picture and sensor have {found} frames in common, {FEWEST} are needed: is the sensor sending?"
-    )]
-    TooFew {
-        /// Comparisons found.
-        found: usize,
-    },
-    /// They do not move together.
-    #[error(
-        "the sensor does not turn as the picture does, at no time offset within {SEARCHED_S} s ({left:.0} \
-         % of the rates' variation is left): is it on this drone, and was the drone turned?"
-    )]
-    Unrelated {
-        /// Percent of the variation that is left.
-        left: f64,
-    },
-    /// One or three axes have the wrong sign.
-    #[error(
-        "the sensor's axes are left-handed: one axis has the wrong sign. No mounting cures that; mend it \
-         where samples are read"
-    )]
-    LeftHanded,
-    /// The rotation was about one axis only.
-    #[error(
-        "the mounting about an axis is known to {deviation_deg:.1} degrees only: turn the drone about all \
-         three axes, by 20 degrees and more"
-    )]
-    OneAxis {
-        /// Largest standard deviation of the mounting, degrees.
-        deviation_deg: f64,
-    },
-}
-
 /// Mean rates of the picture and of the sensor over the same frames.
-struct Pair {
-    seen: TurnSeen,
-    sensor: Vector3<f64>,
-}
+type RatePair = (TurnSeen, Vector3<f64>);
 
 /// The closed form's solution at one time offset.
-struct Fit {
+struct ClosedForm {
     rotation: Matrix3<f64>,
     bias: Vector3<f64>,
     /// Mean squared residual, and the same where the axes may be mirrored.
@@ -107,11 +67,8 @@ struct Fit {
     left_mirrored: f64,
 }
 
-/// Finds mounting, time offset and bias of the sensor whose samples are in `record`, from what the picture
-/// shows of the same flight.
-///
-/// # Errors
-/// [`CalibrationError`] says what is missing.
+/// Finds mounting, time offset and bias of the sensor whose samples are in `record`, from what the
+/// picture shows of the same flight.
 pub fn calibrate(
     seen: &[TurnSeen],
     record: &RateRecord,
@@ -119,13 +76,13 @@ pub fn calibrate(
     let at = |offset_s: f64| pairs(seen, record, offset_s);
     let steps = (SEARCHED_S / STEP_S) as i32;
     let offsets = (-steps..=steps).map(|k| f64::from(k) * STEP_S);
-    let mut best: Option<(f64, Fit)> = None;
+    let mut best: Option<(f64, ClosedForm)> = None;
     let (mut most, mut least_mirrored) = (0, f64::INFINITY);
     for offset_s in offsets {
         let pairs = at(offset_s);
         most = most.max(pairs.len());
         // An offset at which half of the comparisons are missing says little.
-        if pairs.len() < FEWEST.max(seen.len() / 2) {
+        if pairs.len() < LEAST_FRAMES.max(seen.len() / 2) {
             continue;
         }
         let fit = fit(&pairs);
@@ -135,48 +92,48 @@ pub fn calibrate(
         }
     }
     let Some((offset_s, fit)) = best else {
-        return Err(CalibrationError::TooFew { found: most });
+        return Err(CalibrationError::FewComparisons { found: most });
     };
     let varied = variation(&at(offset_s));
     if least_mirrored < fit.left / MIRRORED {
         return Err(CalibrationError::LeftHanded);
     }
     if fit.left > UNRELATED * varied {
-        return Err(CalibrationError::Unrelated { left: 100.0 * fit.left / varied });
+        return Err(CalibrationError::SensorUnrelated { left: 100.0 * fit.left / varied });
     }
     refined(seen, record, offset_s, &fit)
 }
 
 /// Means of both over the same frames, the sensor's time moved by `offset_s`.
-fn pairs(seen: &[TurnSeen], record: &RateRecord, offset_s: f64) -> Vec<Pair> {
+fn pairs(seen: &[TurnSeen], record: &RateRecord, offset_s: f64) -> Vec<RatePair> {
     let pair = |seen: &TurnSeen| {
         let (from_s, to_s) = (seen.earlier_s - offset_s, seen.later_s - offset_s);
         let turned = record.later_from_earlier(from_s, to_s, |rate| rate)?;
         let sensor = -turned.scaled_axis() / (to_s - from_s);
-        Some(Pair { seen: *seen, sensor })
+        Some((*seen, sensor))
     };
     seen.iter().filter_map(pair).collect()
 }
 
 /// The rotation and the bias that make the sensor's rates agree best with the picture's.
-fn fit(pairs: &[Pair]) -> Fit {
+fn fit(pairs: &[RatePair]) -> ClosedForm {
     let count = pairs.len() as f64;
-    let mean_seen = pairs.iter().map(|pair| pair.seen.rate).sum::<Vector3<f64>>() / count;
-    let mean_sensor = pairs.iter().map(|pair| pair.sensor).sum::<Vector3<f64>>() / count;
+    let mean_seen = pairs.iter().map(|(seen, _)| seen.rate).sum::<Vector3<f64>>() / count;
+    let mean_sensor = pairs.iter().map(|(_, sensor)| sensor).sum::<Vector3<f64>>() / count;
     let together: Matrix3<f64> = pairs
         .iter()
-        .map(|pair| (pair.seen.rate - mean_seen) * (pair.sensor - mean_sensor).transpose())
+        .map(|(seen, sensor)| (seen.rate - mean_seen) * (sensor - mean_sensor).transpose())
         .sum();
     let squares: f64 = pairs
         .iter()
-        .map(|pair| {
-            (pair.seen.rate - mean_seen).norm_squared() + (pair.sensor - mean_sensor).norm_squared()
+        .map(|(seen, sensor)| {
+            (seen.rate - mean_seen).norm_squared() + (sensor - mean_sensor).norm_squared()
         })
         .sum();
     let svd = together.svd(true, true);
     let (Some(u), Some(v_t)) = (svd.u, svd.v_t) else {
         // Both were asked for.
-        return Fit {
+        return ClosedForm {
             rotation: Matrix3::identity(),
             bias: Vector3::zeros(),
             left: f64::INFINITY,
@@ -190,9 +147,10 @@ fn fit(pairs: &[Pair]) -> Fit {
     let rotation = u * Matrix3::from_diagonal(&signs) * v_t;
     let all = svd.singular_values.sum();
     let smallest = svd.singular_values[least];
-    // A proper rotation reaches the sum of the singular values, the smallest with the sign that it needs.
+    // A proper rotation reaches the sum of the singular values, the smallest with the sign that it
+    // needs.
     let left = |signed: f64| (squares - 2.0 * (all - smallest + signed * smallest)) / count;
-    Fit {
+    ClosedForm {
         rotation,
         bias: rotation * mean_sensor - mean_seen,
         left: left(sign).max(0.0),
@@ -201,10 +159,10 @@ fn fit(pairs: &[Pair]) -> Fit {
 }
 
 /// Mean squared variation of the picture's rates.
-fn variation(pairs: &[Pair]) -> f64 {
+fn variation(pairs: &[RatePair]) -> f64 {
     let count = pairs.len().max(1) as f64;
-    let mean = pairs.iter().map(|pair| pair.seen.rate).sum::<Vector3<f64>>() / count;
-    pairs.iter().map(|pair| (pair.seen.rate - mean).norm_squared()).sum::<f64>() / count
+    let mean = pairs.iter().map(|(seen, _)| seen.rate).sum::<Vector3<f64>>() / count;
+    pairs.iter().map(|(seen, _)| (seen.rate - mean).norm_squared()).sum::<f64>() / count
 }
 
 /// Gauss-Newton steps over bias, mounting and offset, from the closed form's solution.
@@ -212,7 +170,7 @@ fn refined(
     seen: &[TurnSeen],
     record: &RateRecord,
     mut offset_s: f64,
-    fit: &Fit,
+    fit: &ClosedForm,
 ) -> Result<SensorCalibration, CalibrationError> {
     let mut mounting = UnitQuaternion::from_matrix(&fit.rotation);
     let mut bias = fit.bias;
@@ -223,7 +181,7 @@ fn refined(
         let mut right = Vector7::zeros();
         let (mut squares, mut kept) = (0.0, 0);
         let pairs = pairs(seen, record, offset_s);
-        for Pair { seen, sensor } in &pairs {
+        for (seen, sensor) in &pairs {
             let rate = mounting * sensor - bias;
             let off = seen.rate - rate;
             if off.norm() > OUTLIER * deviation * 3f64.sqrt() {
@@ -249,8 +207,8 @@ fn refined(
         deviation = (squares / (3.0 * f64::from(kept.max(1)))).sqrt();
         used = kept as usize;
     }
-    if used < FEWEST {
-        return Err(CalibrationError::TooFew { found: used });
+    if used < LEAST_FRAMES {
+        return Err(CalibrationError::FewComparisons { found: used });
     }
     let Some(covariance) = normal.try_inverse() else {
         return Err(CalibrationError::OneAxis { deviation_deg: 180.0 });
@@ -324,14 +282,23 @@ mod tests {
     #[test]
     fn what_cannot_be_calibrated_says_why() {
         let still = record(|_| Vector3::zeros());
-        assert!(matches!(calibrate(&seen(10), &still), Err(CalibrationError::Unrelated { .. })));
+        assert!(matches!(
+            calibrate(&seen(10), &still),
+            Err(CalibrationError::SensorUnrelated { .. })
+        ));
         let another =
             record(|at_s| Vector3::new((3.1 * at_s).sin(), (2.3 * at_s).cos(), at_s.sin()));
-        assert!(matches!(calibrate(&seen(10), &another), Err(CalibrationError::Unrelated { .. })));
+        assert!(matches!(
+            calibrate(&seen(10), &another),
+            Err(CalibrationError::SensorUnrelated { .. })
+        ));
         let mirrored = record(|at_s| rate(at_s).component_mul(&Vector3::new(1.0, -1.0, 1.0)));
         assert_eq!(calibrate(&seen(10), &mirrored), Err(CalibrationError::LeftHanded));
         let empty = RateRecord::new(1.0);
-        assert_eq!(calibrate(&seen(10), &empty), Err(CalibrationError::TooFew { found: 0 }));
+        assert_eq!(
+            calibrate(&seen(10), &empty),
+            Err(CalibrationError::FewComparisons { found: 0 })
+        );
         assert!(calibrate(&[], &still).is_err());
         // A drone on a turntable.
         let yawing = |at_s: f64| Vector3::z() * (1.0 + at_s.sin());

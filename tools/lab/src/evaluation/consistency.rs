@@ -89,16 +89,16 @@ impl Nees {
 
 /// NEES of positions and of rotations.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Consistency {
-    /// NEES of positions.
-    pub position: Nees,
-    /// NEES of rotations.
-    pub rotation: Nees,
+pub struct Consistency<N = Nees> {
+    /// Of positions.
+    pub position: N,
+    /// Of rotations.
+    pub rotation: N,
 }
 
 impl Consistency {
-    /// NEES of series of errors with their covariances; `None` if there is no sample. A covariance that is
-    /// none (not positive definite) gives no sample.
+    /// NEES of series of errors with their covariances; `None` if there is no sample. A covariance
+    /// that is none (not positive definite) gives no sample.
     pub fn of(series: &[Vec<ErrorSample>]) -> Option<Self> {
         let nees = |error: fn(&PoseOffset) -> Vector3<f64>, first: usize| {
             let of_series = |series: &Vec<ErrorSample>| -> Vec<f64> {

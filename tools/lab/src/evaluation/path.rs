@@ -3,7 +3,8 @@
 use flockeye_tables::TruthRow;
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 
-/// Between frames that are farther apart than this, seconds, nothing is said: a drone may do anything in between.
+/// Between frames that are farther apart than this, seconds, nothing is said: a drone may do
+/// anything in between.
 const LONGEST_GAP_S: f64 = 0.1;
 /// Times that differ by less than this, seconds, are the same. Recordings state six decimals.
 const SAME_S: f64 = 2e-6;
@@ -11,11 +12,11 @@ const SAME_S: f64 = 2e-6;
 /// True poses at the exposures of frames.
 #[derive(Debug, Clone)]
 pub struct TruePath {
-    knots: Vec<Knot>,
+    knots: Vec<TruePose>,
 }
 
 #[derive(Debug, Clone, Copy)]
-struct Knot {
+struct TruePose {
     frame: u64,
     at_s: f64,
     position: Vector3<f64>,
@@ -25,7 +26,7 @@ struct Knot {
 impl TruePath {
     /// Path of the body of these rows, in the camera's frame.
     pub fn of_body<'a>(rows: impl IntoIterator<Item = &'a TruthRow>) -> Self {
-        Self::new(rows.into_iter().map(|row| Knot {
+        Self::new(rows.into_iter().map(|row| TruePose {
             frame: row.frame,
             at_s: row.t_s,
             position: row.position(),
@@ -37,22 +38,27 @@ impl TruePath {
     pub fn of_camera(rows: &[TruthRow]) -> Option<Self> {
         let knots = rows.iter().filter_map(|row| {
             let orientation = row.world_from_camera()?;
-            Some(Knot { frame: row.frame, at_s: row.t_s, position: Vector3::zeros(), orientation })
+            Some(TruePose {
+                frame: row.frame,
+                at_s: row.t_s,
+                position: Vector3::zeros(),
+                orientation,
+            })
         });
         let path = Self::new(knots);
         (!path.knots.is_empty()).then_some(path)
     }
 
-    fn new(knots: impl Iterator<Item = Knot>) -> Self {
-        let mut knots: Vec<Knot> = knots.collect();
+    fn new(knots: impl Iterator<Item = TruePose>) -> Self {
+        let mut knots: Vec<TruePose> = knots.collect();
         knots.sort_by_key(|knot| knot.frame);
         knots.dedup_by_key(|knot| knot.frame);
         Self { knots }
     }
 
-    /// The pose `after_s` seconds after a frame's exposure, or before it: on the curve of third order
-    /// through the two frames before that time and the two behind it. `None` where frames do not lie
-    /// on both sides.
+    /// The pose `after_s` seconds after a frame's exposure, or before it: on the curve of third
+    /// order through the two frames before that time and the two behind it. `None` where frames do
+    /// not lie on both sides.
     pub fn pose(&self, frame: u64, after_s: f64) -> Option<Isometry3<f64>> {
         let start = self.index(frame)?;
         let at_s = self.knots[start].at_s + after_s;
@@ -73,9 +79,9 @@ impl TruePath {
         Some(Isometry3::from_parts(Translation3::from(position), orientation))
     }
 
-    /// The angular velocity at a frame's exposure, along the turning axes themselves, rad/s: the slope of
-    /// the curve of fourth order through the frame, the two before it and the two behind it. `None` where
-    /// one of them is absent.
+    /// The angular velocity at a frame's exposure, along the turning axes themselves, rad/s: the
+    /// slope of the curve of fourth order through the frame, the two before it and the two behind
+    /// it. `None` where one of them is absent.
     pub fn rate(&self, frame: u64) -> Option<Vector3<f64>> {
         let at = self.index(frame)?;
         let around = self.knots.get(at.checked_sub(2)?..at + 3)?;
@@ -110,7 +116,7 @@ impl TruePath {
     }
 
     /// Up to two knots before a time and two behind it, the last before it being `before`.
-    fn window(&self, before: usize, at_s: f64) -> Option<&[Knot]> {
+    fn window(&self, before: usize, at_s: f64) -> Option<&[TruePose]> {
         let after = before + 1;
         let is_between = self
             .knots
@@ -129,7 +135,7 @@ impl TruePath {
     }
 }
 
-impl Knot {
+impl TruePose {
     /// The rotation vector from this orientation to another, along the axes of this one.
     fn turn_to(&self, other: &Self) -> Vector3<f64> {
         (self.orientation.inverse() * other.orientation).scaled_axis()
@@ -137,7 +143,7 @@ impl Knot {
 }
 
 /// Whether two knots are neighbours of one flight. Frames of several flights may lie in one table.
-fn follows(one: &Knot, next: &Knot) -> bool {
+fn follows(one: &TruePose, next: &TruePose) -> bool {
     let gap_s = next.at_s - one.at_s;
     gap_s > 0.0 && gap_s <= LONGEST_GAP_S
 }
@@ -180,9 +186,9 @@ mod tests {
         (turned.inverse() * Vector3::new(1.5, 0.5 * at_s, 0.3), turned)
     }
 
-    fn knot(frame: u64) -> Knot {
+    fn knot(frame: u64) -> TruePose {
         let (position, orientation) = pose(frame as f64 * STEP_S);
-        Knot { frame, at_s: frame as f64 * STEP_S, position, orientation }
+        TruePose { frame, at_s: frame as f64 * STEP_S, position, orientation }
     }
 
     #[test]
@@ -220,7 +226,7 @@ mod tests {
     #[test]
     fn nothing_is_said_across_a_gap_or_another_flight() {
         // Frames 10 to 15 were not recorded; frame 20 begins another flight.
-        let knots = (0..10).chain(16..30).map(|frame| Knot {
+        let knots = (0..10).chain(16..30).map(|frame| TruePose {
             at_s: knot(frame).at_s - if frame >= 20 { 0.6 } else { 0.0 },
             ..knot(frame)
         });

@@ -48,8 +48,9 @@ pub struct PredictionErrors {
 }
 
 impl Predictions {
-    /// Compares the predictions of tracks with the truth of then. `None` where no pose reaches beyond
-    /// its exposure: in a lossless run, without a filter, or where predictions were not recorded.
+    /// Compares the predictions of tracks with the truth of then. `None` where no pose reaches
+    /// beyond its exposure: in a lossless run, without a filter, or where predictions were not
+    /// recorded.
     pub fn of(poses: &[PoseRow], truth: &[TruthRow]) -> Option<Self> {
         let mut bodies: BTreeMap<&str, Vec<&TruthRow>> = BTreeMap::new();
         truth.iter().for_each(|row| bodies.entry(row.body.as_str()).or_default().push(row));

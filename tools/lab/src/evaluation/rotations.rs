@@ -40,7 +40,8 @@ pub struct RotationEvaluation {
     pub nees: Option<Nees>,
     /// NEES of rates.
     pub rate_nees: Option<Nees>,
-    /// The constant bias of the gyroscope, which was taken out: the median difference of the two, degrees/s.
+    /// The constant bias of the gyroscope, which was taken out: the median difference of the two,
+    /// degrees/s.
     pub gyroscope_bias_deg_s: Option<f64>,
 }
 
@@ -80,8 +81,8 @@ impl TrueRotation {
         }
     }
 
-    /// What is constant in the difference from the rotations recorded, rad/s, if this is a gyroscope: the
-    /// median along each axis, which single wrong rotations do not move.
+    /// What is constant in the difference from the rotations recorded, rad/s, if this is a
+    /// gyroscope: the median along each axis, which single wrong rotations do not move.
     fn bias(&self, rows: &[RotationRow]) -> Option<Vector3<f64>> {
         let Self::Gyroscope(..) = self else { return None };
         let differences = rows.iter().filter_map(|row| {
@@ -111,8 +112,8 @@ fn middle(mut values: Vec<f64>) -> Option<f64> {
 }
 
 impl RotationEvaluation {
-    /// Compares recorded rotations. What is constant in the difference from a gyroscope is taken for
-    /// the sensor's bias; its noise counts as error.
+    /// Compares recorded rotations. What is constant in the difference from a gyroscope is taken
+    /// for the sensor's bias; its noise counts as error.
     pub fn of(rows: &[RotationRow], truth: TrueRotation) -> Self {
         let bias = truth.bias(rows);
         let truth = truth.without(bias);
@@ -174,8 +175,8 @@ mod tests {
         turned.scaled_axis() / (2.0 * step_s)
     }
 
-    /// Rotations that are wrong by `OFF_RAD`, each about another axis, and rates by 0.01 rad/s; the first one
-    /// is not known.
+    /// Rotations that are wrong by `OFF_RAD`, each about another axis, and rates by 0.01 rad/s; the
+    /// first one is not known.
     fn rotations() -> Vec<RotationRow> {
         let row = |frame: u64| {
             let (earlier_s, stamp_s) = ((frame as f64 - 1.0) * STEP_S, frame as f64 * STEP_S);
@@ -245,7 +246,8 @@ mod tests {
         let found = RotationEvaluation::of(&rotations(), attitudes());
         assert_as_made(&found, 0.02);
         assert_eq!((found.compared, found.gyroscope_bias_deg_s), (29, None));
-        // The first two and the last two frames do not have five around them; the first is not known.
+        // The first two and the last two frames do not have five around them; the first is not
+        // known.
         assert_eq!(found.rate_nees.map(|nees| nees.samples), Some(26));
     }
 

@@ -33,10 +33,10 @@ impl Spread {
     }
 }
 
-/// The effective sample size: how many independent samples determine the mean as well as these do. It
-/// is n / (1 + 2 (r1 + r2 + ...)) with the correlation r at each lag, up to the first that is not
-/// positive (Geyer, "Practical Markov chain Monte Carlo", 1992, in its plainest form). Samples of
-/// different series are independent.
+/// The effective sample size: how many independent samples determine the mean as well as these do.
+/// It is n / (1 + 2 (r1 + r2 + ...)) with the correlation r at each lag, up to the first that is
+/// not positive (Geyer, "Practical Markov chain Monte Carlo", 1992, in its plainest form). Samples
+/// of different series are independent.
 pub fn effective_samples(series: &[Vec<f64>]) -> f64 {
     let all: Vec<f64> = series.concat();
     let count = all.len() as f64;
@@ -62,10 +62,11 @@ pub fn effective_samples(series: &[Vec<f64>]) -> f64 {
     (count / (1.0 + 2.0 * correlated)).max(1.0)
 }
 
-/// Effective number of samples of independent runs with any correlation within a run: all frames of a flight share its
-/// path and its light. The variance of the mean comes from the sums of the runs (cluster-robust
-/// variance; Liang and Zeger, "Longitudinal data analysis using generalized linear models", 1986).
-/// Fewer runs than [`FEWEST_RUNS`] do not show how runs differ. Then this is [`effective_samples`].
+/// Effective number of samples of independent runs with any correlation within a run: all frames of
+/// a flight share its path and its light. The variance of the mean comes from the sums of the runs
+/// (cluster-robust variance; Liang and Zeger, "Longitudinal data analysis using generalized linear
+/// models", 1986). Fewer runs than [`FEWEST_RUNS`] do not show how runs differ. Then this is
+/// [`effective_samples`].
 pub fn effective_samples_of_runs(runs: &[Vec<f64>]) -> f64 {
     let all: Vec<f64> = runs.concat();
     let count_of_runs = runs.iter().filter(|run| !run.is_empty()).count();

@@ -29,6 +29,13 @@ pub struct ComparisonArguments {
     pub json: bool,
 }
 
+/// The results, and the paper's.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub(super) struct BesidePaper<Row, PaperRow: 'static> {
+    pub(super) rows: Vec<Row>,
+    pub(super) paper: &'static [PaperRow],
+}
+
 /// The result of one flight.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub(super) struct FlightOutcome {
@@ -51,7 +58,8 @@ pub(super) struct FlightOutcome {
     mean_error_cm: Option<f64>,
     /// Median position error within 1.5 m, centimetres.
     median_error_cm: Option<f64>,
-    /// Measurements that are wrong by more than 10 cm or 10 degrees, or of a body that is not there.
+    /// Measurements that are wrong by more than 10 cm or 10 degrees, or of a body that is not
+    /// there.
     false_poses: usize,
 }
 

@@ -13,7 +13,7 @@ use nalgebra::Vector3;
 use serde::Serialize;
 
 use super::laboratory::{FlightRecord, Laboratory};
-use crate::evaluation::consistency::{Nees, NeesVerdict, normalised};
+use crate::evaluation::consistency::{Consistency, Nees, NeesVerdict, normalised};
 use crate::evaluation::error::{ErrorSample, PoseOffset};
 use crate::evaluation::{measurement_sample, track_sample};
 
@@ -34,8 +34,8 @@ pub struct ConsistencyArguments {
     pub json: bool,
 }
 
-/// Half of the usual image size and half of the distances: bodies are as large in pixels, and a frame
-/// costs a quarter.
+/// Half of the usual image size and half of the distances: bodies are as large in pixels, and a
+/// frame costs a quarter.
 const DEFAULTS: [&str; 3] =
     ["camera.width=1920", "camera.height=960", "simulator.distance_m=[0.4, 1.0]"];
 
@@ -52,13 +52,6 @@ struct NeesOverRuns {
     inside: Option<f64>,
 }
 
-/// Positions and rotations.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-struct PoseNeesOverRuns {
-    position: NeesOverRuns,
-    rotation: NeesOverRuns,
-}
-
 /// The results.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub(super) struct ConsistencyResult {
@@ -70,9 +63,9 @@ pub(super) struct ConsistencyResult {
     /// Flights in which nothing was measured.
     empty_runs: usize,
     /// The frames' own measurements.
-    measurements: Option<PoseNeesOverRuns>,
+    measurements: Option<Consistency<NeesOverRuns>>,
     /// The tracks in frames that were measured.
-    tracks: Option<PoseNeesOverRuns>,
+    tracks: Option<Consistency<NeesOverRuns>>,
     /// Whether all means lie within their bounds.
     passes: bool,
 }
@@ -81,7 +74,7 @@ pub(super) struct ConsistencyResult {
 pub(super) fn run(arguments: &ConsistencyArguments) -> anyhow::Result<ConsistencyResult> {
     let mut laboratory =
         Laboratory::new(&arguments.configuration, &DEFAULTS, arguments.frames, arguments.json)?;
-    let first = laboratory.plan(&[])?.pipeline;
+    let (first, _) = laboratory.plan(&[])?;
     ensure!(
         first.source.stage() == StageName::Simulator,
         "independent flights of '{}' cannot be had. Cure: simulate them (--source sim)",
@@ -93,12 +86,12 @@ pub(super) fn run(arguments: &ConsistencyArguments) -> anyhow::Result<Consistenc
     ensure!(last.is_some(), "simulator.seed {seed} leaves no room for {} more", arguments.runs);
     let mut flights = Vec::new();
     for (seed, number) in (seeds[0]..=seeds[1]).zip(1..) {
-        let plan = laboratory.plan(&[format!("simulator.seed={seed}")])?;
+        let (_, plan) = laboratory.plan(&[format!("simulator.seed={seed}")])?;
         let what = format!("flight {number} of {}, seed {seed}", arguments.runs);
         flights.push(laboratory.fly(&what, &plan)?);
     }
-    let measurements = PoseNeesOverRuns::of(&flights, measurement_sample);
-    let tracks = PoseNeesOverRuns::of(&flights, track_sample);
+    let measurements = Consistency::over_runs(&flights, measurement_sample);
+    let tracks = Consistency::over_runs(&flights, track_sample);
     let all = [&measurements, &tracks];
     Ok(ConsistencyResult {
         runs: arguments.runs,
@@ -107,7 +100,7 @@ pub(super) fn run(arguments: &ConsistencyArguments) -> anyhow::Result<Consistenc
         image_px: [first.camera.width, first.camera.height],
         distance_m: first.simulator.distance_m,
         empty_runs: flights.iter().filter(|flight| !has_measurement(flight)).count(),
-        passes: all.iter().all(|parts| parts.as_ref().is_some_and(PoseNeesOverRuns::passes)),
+        passes: all.iter().all(|parts| parts.as_ref().is_some_and(Consistency::passes)),
         measurements,
         tracks,
     })
@@ -117,9 +110,9 @@ fn has_measurement(flight: &FlightRecord) -> bool {
     flight.poses.iter().any(PoseRow::is_measured)
 }
 
-impl PoseNeesOverRuns {
+impl Consistency<NeesOverRuns> {
     /// Summarizes flights. `None` without a sample.
-    fn of(
+    fn over_runs(
         flights: &[FlightRecord],
         sample: fn(&PoseRow, &TruthRow) -> Option<ErrorSample>,
     ) -> Option<Self> {
@@ -248,7 +241,7 @@ mod tests {
     fn flights_are_independent_at_each_moment() {
         // A standard deviation of 1 cm: 4, 1 and 1, 4; one flight has no sample in the last frame.
         let flights = [flight(&[0.02, 0.01, 0.05]), flight(&[0.01, -0.02])];
-        let parts = PoseNeesOverRuns::of(&flights, track_sample).expect("there are samples");
+        let parts = Consistency::over_runs(&flights, track_sample).expect("there are samples");
         let position = &parts.position;
         assert_eq!((position.nees.samples, position.moments), (5, 3));
         assert!((position.nees.mean - (4.0 + 1.0 + 25.0 + 1.0 + 4.0) / 5.0).abs() < 1e-6);
@@ -257,13 +250,14 @@ mod tests {
         // No rotation error at all: pessimistic.
         assert_eq!(parts.rotation.nees.verdict, NeesVerdict::Pessimistic);
         assert!(!parts.passes());
-        assert!(PoseNeesOverRuns::of(&[FlightRecord::default()], track_sample).is_none());
+        assert!(Consistency::over_runs(&[FlightRecord::default()], track_sample).is_none());
     }
 
     #[test]
     fn moments_of_few_flights_are_left_out() {
         let flights = [flight(&[0.01]), flight(&[0.01]), flight(&[0.01, 0.01])];
-        let parts = PoseNeesOverRuns::of(&flights, measurement_sample).expect("there are samples");
+        let parts =
+            Consistency::over_runs(&flights, measurement_sample).expect("there are samples");
         assert_eq!((parts.position.nees.samples, parts.position.moments), (4, 1));
     }
 }

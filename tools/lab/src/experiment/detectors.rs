@@ -17,10 +17,12 @@ pub struct DetectorsArguments {
     /// Search the photographs in this folder, each as one view, in place of a flight.
     #[arg(long, value_name = "FOLDER")]
     pub photographs: Option<PathBuf>,
-    /// The markers in the photographs: a name as OpenCV has it, or a dictionary file; left out: `bodies.dictionary`.
+    /// The markers in the photographs: a name as OpenCV has it, or a dictionary file; left out:
+    /// `bodies.dictionary`.
     #[arg(long, value_name = "NAME", requires = "photographs")]
     pub dictionary: Option<String>,
-    /// Write the corners that both find in the photographs, with their stated standard deviations, as CSV.
+    /// Write the corners that both find in the photographs, with their stated standard deviations,
+    /// as CSV.
     #[arg(long, value_name = "FILE.csv", requires = "photographs")]
     pub corners: Option<PathBuf>,
     /// The flights.
@@ -62,7 +64,7 @@ pub(super) fn run(arguments: &DetectorsArguments) -> anyhow::Result<DetectorComp
         Laboratory::new(&comparison.configuration, &[], comparison.frames, comparison.json)?;
     let mut rows = Vec::new();
     for engine in ["own", "opencv"] {
-        let plan = laboratory.plan(&[format!("detection.engine={engine}")])?;
+        let (_, plan) = laboratory.plan(&[format!("detection.engine={engine}")])?;
         let flight = laboratory.fly(&format!("detector {engine}"), &plan)?;
         let outcome = FlightOutcome::of(&flight, given.as_ref().unwrap_or(&flight.truth))?;
         rows.push(DetectorOutcome { engine, outcome });

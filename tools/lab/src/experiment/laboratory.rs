@@ -22,14 +22,6 @@ pub(super) struct Laboratory {
     screen: Screen,
 }
 
-/// A flight that is not flown yet.
-pub(super) struct FlightPlan {
-    /// Its configuration.
-    pub(super) pipeline: Pipeline,
-    /// The arguments that give `flockeye up` this configuration.
-    arguments: Vec<OsString>,
-}
-
 /// What was recorded of a flight.
 #[derive(Debug, Clone, Default)]
 pub(super) struct FlightRecord {
@@ -79,8 +71,9 @@ impl Laboratory {
         })
     }
 
-    /// A flight with settings that override the user's.
-    pub(super) fn plan(&self, fixed: &[String]) -> anyhow::Result<FlightPlan> {
+    /// The configuration of a flight with settings that override the user's, and the arguments that
+    /// give it to `flockeye up`.
+    pub(super) fn plan(&self, fixed: &[String]) -> anyhow::Result<(Pipeline, Vec<OsString>)> {
         static FLIGHTS: AtomicU32 = AtomicU32::new(0);
         let flight = FLIGHTS.fetch_add(1, Ordering::Relaxed);
         let own = [
@@ -90,14 +83,12 @@ impl Laboratory {
             format!("simulator.frames={}", self.frames),
         ];
         let fixed = [&own, fixed].concat();
-        Ok(FlightPlan {
-            pipeline: self.configuration.load_with(&self.defaults, &fixed)?,
-            arguments: self.configuration.to_arguments(&self.defaults, &fixed),
-        })
+        let pipeline = self.configuration.load_with(&self.defaults, &fixed)?;
+        Ok((pipeline, self.configuration.to_arguments(&self.defaults, &fixed)))
     }
 
-    /// Flies once. `what` names the flight.
-    pub(super) fn fly(&mut self, what: &str, plan: &FlightPlan) -> anyhow::Result<FlightRecord> {
+    /// Flies once with planned arguments. `what` names the flight.
+    pub(super) fn fly(&mut self, what: &str, plan: &[OsString]) -> anyhow::Result<FlightRecord> {
         if self.screen.is_live() {
             self.screen.table(&format!("{what} ..."));
         }
@@ -109,7 +100,7 @@ impl Laboratory {
         {
             arguments.extend([option.into(), file.into()]);
         }
-        arguments.extend_from_slice(&plan.arguments);
+        arguments.extend_from_slice(plan);
         let log = up_process::run_quietly(what, &arguments, &self.stopping)?;
         if self.stopping.load(Ordering::Relaxed) {
             bail!("stopped");

@@ -6,12 +6,14 @@ use flockeye_cli::text_table::TextTable;
 use flockeye_config::{Profile, Resolved};
 use serde::Serialize;
 
-use super::comparison::{ComparisonArguments, FlightOutcome, LEGEND, TITLES, given_truth};
+use super::comparison::{
+    BesidePaper, ComparisonArguments, FlightOutcome, LEGEND, TITLES, given_truth,
+};
 use super::laboratory::Laboratory;
 
 /// A column of the paper's table.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-struct PaperPartition {
+pub(super) struct PaperPartition {
     /// N.
     count: usize,
     /// The circles' diameter, degrees.
@@ -25,7 +27,7 @@ struct PaperPartition {
 }
 
 /// The paper's Table I, of its experiment 1.
-const TABLE_1: [PaperPartition; 3] = [
+static TABLE_1: [PaperPartition; 3] = [
     PaperPartition { count: 6, theta_deg: 110.0, frames_per_s: 6.0, error_cm: 9.9, captured: 281 },
     PaperPartition { count: 12, theta_deg: 74.0, frames_per_s: 4.5, error_cm: 3.8, captured: 395 },
     PaperPartition { count: 24, theta_deg: 62.0, frames_per_s: 2.8, error_cm: 6.6, captured: 299 },
@@ -33,7 +35,7 @@ const TABLE_1: [PaperPartition; 3] = [
 
 /// The result of one partition.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-struct PartitionOutcome {
+pub(super) struct PartitionOutcome {
     /// N.
     count: usize,
     /// paper or covering.
@@ -45,16 +47,11 @@ struct PartitionOutcome {
     outcome: FlightOutcome,
 }
 
-/// The results, and the paper's.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub(super) struct PartitionComparison {
-    rows: Vec<PartitionOutcome>,
-    paper: [PaperPartition; 3],
-}
-
 /// Flies once for each number of views and method. As in the paper, frames are searched by its
 /// optimized search (Algorithm 1), and no filter links them.
-pub(super) fn run(arguments: &ComparisonArguments) -> anyhow::Result<PartitionComparison> {
+pub(super) fn run(
+    arguments: &ComparisonArguments,
+) -> anyhow::Result<BesidePaper<PartitionOutcome, PaperPartition>> {
     let given = given_truth(arguments)?;
     let configuration = match arguments.configuration.says_profile() {
         true => arguments.configuration.clone(),
@@ -68,22 +65,22 @@ pub(super) fn run(arguments: &ComparisonArguments) -> anyhow::Result<PartitionCo
         for method in ["paper", "covering"] {
             let count = paper.count;
             let fixed = [format!("partition.count={count}"), format!("partition.method={method}")];
-            let plan = laboratory.plan(&fixed)?;
-            let division = Resolved::of(plan.pipeline.clone())?.division;
+            let (pipeline, plan) = laboratory.plan(&fixed)?;
+            let division = Resolved::of(pipeline)?.division;
             let theta_deg = division.partition.covering_diameter_rad().to_degrees();
             let flight = laboratory.fly(&format!("N = {count}, {method}"), &plan)?;
             let outcome = FlightOutcome::of(&flight, given.as_ref().unwrap_or(&flight.truth))?;
             rows.push(PartitionOutcome { count, method, theta_deg, outcome });
         }
     }
-    Ok(PartitionComparison { rows, paper: TABLE_1 })
+    Ok(BesidePaper { rows, paper: &TABLE_1 })
 }
 
-impl fmt::Display for PartitionComparison {
+impl fmt::Display for BesidePaper<PartitionOutcome, PaperPartition> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let titles = [&["N", "partition", "θ °"], &TITLES[..]].concat();
         let mut table = TextTable::new(2, &titles);
-        for paper in &self.paper {
+        for paper in self.paper {
             for row in self.rows.iter().filter(|row| row.count == paper.count) {
                 let cells =
                     [row.count.to_string(), row.method.to_owned(), format!("{:.2}", row.theta_deg)];

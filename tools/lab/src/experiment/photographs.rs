@@ -8,7 +8,7 @@ use anyhow::{Context, ensure};
 use flockeye_cli::text_table::TextTable;
 use flockeye_config::DetectionEngine;
 use flockeye_contract::{Search, ViewKind};
-use flockeye_detection::{DetectorParameters, Engine, Found, windows};
+use flockeye_detection::{DetectorParameters, Engine, MarkerInView, windows};
 use flockeye_geometry::Ray;
 use flockeye_geometry::view::{View, ViewPixel};
 use flockeye_imaging::image::LumaImage;
@@ -21,8 +21,8 @@ use serde::Serialize;
 
 /// Files with these endings are photographs.
 const ENDINGS: [&str; 3] = ["jpg", "jpeg", "png"];
-/// A photograph is taken to show so much from side to side, as most cameras do. What a mask hides depends on it, and whether four
-/// corners are a square's.
+/// A photograph is taken to show so much from side to side, as most cameras do. What a mask hides
+/// depends on it, and whether four corners are a square's.
 const FIELD_RAD: f64 = 1.1;
 /// Least side of a marker in each row of the table, pixels.
 const SIZES_PX: [f64; 5] = [0.0, 14.0, 20.0, 30.0, 60.0];
@@ -31,7 +31,7 @@ const SAME_PLACE_SHARE: f64 = 0.5;
 
 /// A marker in a photograph.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-struct Marker {
+struct PhotographMarker {
     photograph: String,
     id: u32,
     /// Its centre, pixels.
@@ -63,7 +63,7 @@ impl WrittenRow for CornerRow {
 
 /// What was found of one size.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
-struct Counts {
+struct DetectorCounts {
     both: usize,
     ours_alone: usize,
     opencv_alone: usize,
@@ -74,18 +74,19 @@ struct Counts {
 pub(super) struct PhotographComparison {
     photographs: usize,
     /// By the index of [`SIZES_PX`].
-    by_size: BTreeMap<usize, Counts>,
-    ours_alone: Vec<Marker>,
-    opencv_alone: Vec<Marker>,
+    by_size: BTreeMap<usize, DetectorCounts>,
+    ours_alone: Vec<PhotographMarker>,
+    opencv_alone: Vec<PhotographMarker>,
     /// Files that could not be read.
     unreadable: Vec<PathBuf>,
 }
 
-/// Searches each photograph of a folder with both detectors, and writes all corners to a file if one is named.
+/// Searches each photograph of a folder with both detectors, and writes all corners to a file if
+/// one is named.
 ///
 /// # Errors
-/// No folder, no photograph in it, an unknown dictionary, or a file that cannot be written. A photograph that cannot be
-/// read is named.
+/// No folder, no photograph in it, an unknown dictionary, or a file that cannot be written. A
+/// photograph that cannot be read is named.
 pub(super) fn compare(
     folder: &Path,
     dictionary: &str,
@@ -115,7 +116,7 @@ pub(super) fn compare(
         let view = View::looking_at(&Ray::new_normalize(Vector3::x()), FIELD_RAD, side);
         let thresholds = || windows::thresholds(ViewKind::Partition, Search::AllWindows, 1.0);
         let name = file.file_name().unwrap_or_default().to_string_lossy();
-        let mut search = |kind, engine: &mut Engine| -> anyhow::Result<Vec<Marker>> {
+        let mut search = |kind, engine: &mut Engine| -> anyhow::Result<Vec<PhotographMarker>> {
             let found = engine.detect(&image, &view, &light, 1.0, thresholds())?;
             if let Some(corners) = &mut corners {
                 add_corners(corners, kind, &name, &view, &found)?;
@@ -153,7 +154,7 @@ fn add_corners(
     engine: &'static str,
     photograph: &str,
     view: &View,
-    found: &[Found],
+    found: &[MarkerInView],
 ) -> anyhow::Result<()> {
     for marker in found {
         for (corner, ViewPixel(at)) in marker.corners_in_view.into_iter().enumerate() {
@@ -174,11 +175,11 @@ fn add_corners(
     Ok(())
 }
 
-fn marker(photograph: &str, found: &Found) -> Marker {
+fn marker(photograph: &str, found: &MarkerInView) -> PhotographMarker {
     let [a, b, c, d] = found.corners_in_view.map(|ViewPixel(corner)| corner);
     let area = ((c - a).perp(&(d - b)) / 2.0).abs();
     let centre = (a + b + c + d) / 4.0;
-    Marker {
+    PhotographMarker {
         photograph: photograph.to_owned(),
         id: found.id,
         at: [centre.x, centre.y],
@@ -188,7 +189,7 @@ fn marker(photograph: &str, found: &Found) -> Marker {
 
 impl PhotographComparison {
     /// Adds what both found in one photograph.
-    fn add(&mut self, ours: Vec<Marker>, mut theirs: Vec<Marker>) {
+    fn add(&mut self, ours: Vec<PhotographMarker>, mut theirs: Vec<PhotographMarker>) {
         self.photographs += 1;
         for marker in ours {
             let counts = self.by_size.entry(size_of(&marker)).or_default();
@@ -210,11 +211,11 @@ impl PhotographComparison {
     }
 }
 
-fn size_of(marker: &Marker) -> usize {
+fn size_of(marker: &PhotographMarker) -> usize {
     SIZES_PX.iter().rposition(|least| marker.side_px >= *least).unwrap_or(0)
 }
 
-fn is_same(one: &Marker, other: &Marker) -> bool {
+fn is_same(one: &PhotographMarker, other: &PhotographMarker) -> bool {
     let apart = (one.at[0] - other.at[0]).hypot(one.at[1] - other.at[1]);
     one.id == other.id && apart < SAME_PLACE_SHARE * one.side_px.max(other.side_px)
 }
@@ -223,8 +224,8 @@ impl fmt::Display for PhotographComparison {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let titles = ["side px", "both", "ours alone", "OpenCV alone", "ours, of all", "OpenCV"];
         let mut table = TextTable::new(1, &titles);
-        let mut row = |name: String, counts: Counts| {
-            let Counts { both, ours_alone, opencv_alone } = counts;
+        let mut row = |name: String, counts: DetectorCounts| {
+            let DetectorCounts { both, ours_alone, opencv_alone } = counts;
             let all = (both + ours_alone + opencv_alone).max(1) as f64;
             let share = |part: usize| format!("{:.1} %", 100.0 * part as f64 / all);
             table.row([
@@ -236,7 +237,7 @@ impl fmt::Display for PhotographComparison {
                 share(both + opencv_alone),
             ]);
         };
-        let mut all = Counts::default();
+        let mut all = DetectorCounts::default();
         for (&size, &counts) in &self.by_size {
             let name = match SIZES_PX.get(size + 1) {
                 Some(next) => format!("{:.0} to {next:.0}", SIZES_PX[size]),
@@ -251,7 +252,7 @@ impl fmt::Display for PhotographComparison {
         writeln!(f, "{} photographs", self.photographs)?;
         write!(f, "{}", table.text())?;
         for (whose, alone) in [("ours", &self.ours_alone), ("OpenCV", &self.opencv_alone)] {
-            for Marker { photograph, id, at: [x, y], side_px } in alone {
+            for PhotographMarker { photograph, id, at: [x, y], side_px } in alone {
                 write!(
                     f,
                     "\n{whose} alone: {photograph}, id {id} at ({x:.0}, {y:.0}), {side_px:.0} px"
@@ -266,8 +267,8 @@ impl fmt::Display for PhotographComparison {
 mod tests {
     use super::*;
 
-    fn marker(id: u32, x: f64, side_px: f64) -> Marker {
-        Marker { photograph: "a.jpg".into(), id, at: [x, 50.0], side_px }
+    fn marker(id: u32, x: f64, side_px: f64) -> PhotographMarker {
+        PhotographMarker { photograph: "a.jpg".into(), id, at: [x, 50.0], side_px }
     }
 
     #[test]
@@ -277,8 +278,8 @@ mod tests {
         let theirs = vec![marker(3, 205.0, 19.0), marker(8, 300.0, 80.0)];
         comparison.add(ours, theirs);
         let counts = |size| comparison.by_size.get(&size).copied().unwrap_or_default();
-        assert_eq!(counts(2), Counts { both: 1, ours_alone: 1, opencv_alone: 0 });
-        assert_eq!(counts(4), Counts { both: 0, ours_alone: 1, opencv_alone: 1 });
+        assert_eq!(counts(2), DetectorCounts { both: 1, ours_alone: 1, opencv_alone: 0 });
+        assert_eq!(counts(4), DetectorCounts { both: 0, ours_alone: 1, opencv_alone: 1 });
         let text = comparison.to_string();
         assert!(text.contains("OpenCV alone: a.jpg, id 8 at (300, 50), 80 px"), "{text}");
         assert!(text.contains("from 60"), "{text}");

@@ -5,12 +5,14 @@ use std::fmt;
 use flockeye_cli::text_table::TextTable;
 use serde::Serialize;
 
-use super::comparison::{ComparisonArguments, FlightOutcome, LEGEND, TITLES, given_truth};
+use super::comparison::{
+    BesidePaper, ComparisonArguments, FlightOutcome, LEGEND, TITLES, given_truth,
+};
 use super::laboratory::Laboratory;
 
 /// A column of the paper's table.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-struct PaperSearch {
+pub(super) struct PaperSearch {
     /// The search.
     mode: &'static str,
     /// Frames in which the drone was localised.
@@ -20,14 +22,14 @@ struct PaperSearch {
 }
 
 /// The paper's Table II, of its experiment 1.
-const TABLE_2: [PaperSearch; 2] = [
+static TABLE_2: [PaperSearch; 2] = [
     PaperSearch { mode: "greedy", captured: 147, available: 986 },
     PaperSearch { mode: "optimized", captured: 395, available: 986 },
 ];
 
 /// The result of one search mode.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-struct SearchOutcome {
+pub(super) struct SearchOutcome {
     /// greedy, optimized or roi.
     mode: &'static str,
     /// The flight.
@@ -35,29 +37,24 @@ struct SearchOutcome {
     outcome: FlightOutcome,
 }
 
-/// The results, and the paper's.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub(super) struct SearchComparison {
-    rows: Vec<SearchOutcome>,
-    paper: [PaperSearch; 2],
-}
-
 /// Flies once for each mode; all else is as configured.
-pub(super) fn run(arguments: &ComparisonArguments) -> anyhow::Result<SearchComparison> {
+pub(super) fn run(
+    arguments: &ComparisonArguments,
+) -> anyhow::Result<BesidePaper<SearchOutcome, PaperSearch>> {
     let given = given_truth(arguments)?;
     let mut laboratory =
         Laboratory::new(&arguments.configuration, &[], arguments.frames, arguments.json)?;
     let mut rows = Vec::new();
     for mode in ["greedy", "optimized", "roi"] {
-        let plan = laboratory.plan(&[format!("search.mode={mode}")])?;
+        let (_, plan) = laboratory.plan(&[format!("search.mode={mode}")])?;
         let flight = laboratory.fly(&format!("search {mode}"), &plan)?;
         let outcome = FlightOutcome::of(&flight, given.as_ref().unwrap_or(&flight.truth))?;
         rows.push(SearchOutcome { mode, outcome });
     }
-    Ok(SearchComparison { rows, paper: TABLE_2 })
+    Ok(BesidePaper { rows, paper: &TABLE_2 })
 }
 
-impl fmt::Display for SearchComparison {
+impl fmt::Display for BesidePaper<SearchOutcome, PaperSearch> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let mut table = TextTable::new(1, &[&["search"], &TITLES[..]].concat());
         for row in &self.rows {

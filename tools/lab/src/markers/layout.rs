@@ -1,7 +1,6 @@
 //! Facets on sheets.
 
-use super::page::{Page, Paper, Shape};
-use super::piece::Piece;
+use super::page::{Ink, Paper, PaperDrawing};
 
 /// The margin that printers leave white, and the space between facets.
 const MARGIN_MM: f64 = 10.0;
@@ -11,24 +10,24 @@ const TITLE_MM: f64 = 12.0;
 const RULER_MM: f64 = 14.0;
 
 /// Lays the pieces in rows, in their order, on as many sheets as it takes.
-///
-/// # Errors
-/// A piece that is larger than a sheet.
-pub(super) fn pages(pieces: &[Piece], title: &str, paper: Paper) -> anyhow::Result<Vec<Page>> {
+pub(super) fn pages(
+    pieces: &[(String, PaperDrawing)],
+    title: &str,
+    paper: Paper,
+) -> anyhow::Result<Vec<PaperDrawing>> {
     let size = paper.size_mm();
     let room = [size[0] - 2.0 * MARGIN_MM, size[1] - 2.0 * MARGIN_MM - TITLE_MM - RULER_MM];
     let top_left = [MARGIN_MM, MARGIN_MM + TITLE_MM];
-    let mut sheets: Vec<Vec<Shape>> = Vec::new();
+    let mut sheets: Vec<Vec<Ink>> = Vec::new();
     // The next piece's place, and the height of the row so far.
     let (mut at, mut row_height) = ([0.0, f64::INFINITY], 0.0f64);
-    for piece in pieces {
+    for (name, piece) in pieces {
         let [width, height] = piece.size_mm;
         if width > room[0] || height > room[1] {
             let larger = if paper == Paper::A3 { "" } else { ": try --paper a3" };
             anyhow::bail!(
-                "the facet '{}' takes {width:.0} x {height:.0} mm, a sheet of {} has room for \
+                "the facet '{name}' takes {width:.0} x {height:.0} mm, a sheet of {} has room for \
                  {:.0} x {:.0} mm{larger}",
-                piece.name,
                 paper.name(),
                 room[0],
                 room[1]
@@ -53,14 +52,14 @@ pub(super) fn pages(pieces: &[Piece], title: &str, paper: Paper) -> anyhow::Resu
     let finished = sheets.into_iter().enumerate().map(|(index, mut shapes)| {
         let number = format!("sheet {} of {count}", index + 1);
         shapes.extend(frame(size, title, &number));
-        Page { size_mm: size, shapes }
+        PaperDrawing { size_mm: size, shapes }
     });
     Ok(finished.collect())
 }
 
 /// The title, and a ruler that shows whether the printer kept the scale.
-fn frame([_, height]: [f64; 2], title: &str, number: &str) -> Vec<Shape> {
-    let text = |at, height_mm, text: String| Shape::Text { at, height_mm, text };
+fn frame([_, height]: [f64; 2], title: &str, number: &str) -> Vec<Ink> {
+    let text = |at, height_mm, text: String| Ink::Text { at, height_mm, text };
     let mut shapes = vec![
         text([MARGIN_MM, MARGIN_MM + 3.5], 3.5, title.to_owned()),
         text(
@@ -76,8 +75,8 @@ fn frame([_, height]: [f64; 2], title: &str, number: &str) -> Vec<Shape> {
         vec![[left, ground - 2.0], [right, ground - 2.0], [right, ground], [left, ground]]
     };
     let blacks = (0..5).map(|k| block(20.0 * f64::from(k), 20.0 * f64::from(k) + 10.0));
-    shapes.push(Shape::Black(blacks.collect()));
-    shapes.push(Shape::Outline { corners: block(0.0, 100.0) });
+    shapes.push(Ink::Black(blacks.collect()));
+    shapes.push(Ink::Outline { corners: block(0.0, 100.0) });
     shapes.push(text(
         [MARGIN_MM, ground + 3.5],
         2.5,

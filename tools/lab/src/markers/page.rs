@@ -14,7 +14,6 @@ pub enum Paper {
 }
 
 impl Paper {
-    /// Its name.
     pub fn name(self) -> &'static str {
         match self {
             Self::A4 => "a4",
@@ -33,37 +32,31 @@ impl Paper {
     }
 }
 
-/// A sheet.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Page {
+/// A sheet, or a facet that is laid on it.
+pub struct PaperDrawing {
     /// Width and height, millimetres.
     pub size_mm: [f64; 2],
-    /// What is on it, the lowest first. The sheet itself is white.
-    pub shapes: Vec<Shape>,
+    /// What is on it, the lowest first. The ground itself is white.
+    pub shapes: Vec<Ink>,
 }
 
-/// Something drawn.
-#[derive(Debug, Clone, PartialEq)]
-pub enum Shape {
+/// A black area, a line or a text.
+pub enum Ink {
     /// A black area with holes: the loops are filled by the even-odd rule.
     Black(Vec<Vec<[f64; 2]>>),
     /// A closed grey line of a fifth of a millimetre: where to cut.
-    Outline {
-        /// Its corners.
-        corners: Vec<[f64; 2]>,
-    },
+    Outline { corners: Vec<[f64; 2]> },
     /// A text, from the left end of its baseline.
     Text {
         /// Where.
         at: [f64; 2],
-        /// Its height.
         height_mm: f64,
         /// ASCII.
         text: String,
     },
 }
 
-impl Shape {
+impl Ink {
     /// The shape moved by so many millimetres.
     pub fn moved(&self, [x, y]: [f64; 2]) -> Self {
         let place = |points: &[[f64; 2]]| points.iter().map(|p| [p[0] + x, p[1] + y]).collect();

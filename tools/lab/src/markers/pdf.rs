@@ -2,12 +2,12 @@
 
 use std::fmt::Write;
 
-use super::page::{Page, Shape};
+use super::page::{Ink, PaperDrawing};
 
 /// Points (1/72 inch) in a millimetre.
 const POINTS_PER_MM: f64 = 72.0 / 25.4;
 
-pub(super) fn document(pages: &[Page]) -> Vec<u8> {
+pub(super) fn document(pages: &[PaperDrawing]) -> Vec<u8> {
     // Object 1 is the catalogue, 2 the list of pages, 3 the font; then each page and its content.
     let kids: String = (0..pages.len()).map(|k| format!("{} 0 R ", 4 + 2 * k)).collect();
     let mut objects = vec![
@@ -20,7 +20,7 @@ pub(super) fn document(pages: &[Page]) -> Vec<u8> {
         let [width, height] = page.size_mm.map(|side| side * POINTS_PER_MM);
         let content = content(page);
         objects.push(format!(
-            "<< /Type /Page /Parent 2 0 R /MediaBox [0 0 {width:.4} {height:.4}] \
+            "<< /Type /PaperDrawing /Parent 2 0 R /MediaBox [0 0 {width:.4} {height:.4}] \
              /Resources << /Font << /F1 3 0 R >> >> /Contents {} 0 R >>",
             5 + 2 * index
         ));
@@ -43,18 +43,18 @@ pub(super) fn document(pages: &[Page]) -> Vec<u8> {
 }
 
 /// The operators that draw a page, in millimetres from its top left.
-fn content(page: &Page) -> String {
+fn content(page: &PaperDrawing) -> String {
     let height = page.size_mm[1] * POINTS_PER_MM;
     let mut text = format!("{POINTS_PER_MM:.8} 0 0 {:.8} 0 {height:.4} cm\n", -POINTS_PER_MM);
     for shape in &page.shapes {
         let _ = match shape {
-            Shape::Black(loops) => {
+            Ink::Black(loops) => {
                 let path: String = loops.iter().map(|points| path(points)).collect();
                 writeln!(text, "0 g {path}f*")
             }
-            Shape::Outline { corners } => writeln!(text, "0.2 w 0.53 G {}S", path(corners)),
+            Ink::Outline { corners } => writeln!(text, "0.2 w 0.53 G {}S", path(corners)),
             // Upright again: the page's y goes down.
-            Shape::Text { at: [x, y], height_mm, text: words } => writeln!(
+            Ink::Text { at: [x, y], height_mm, text: words } => writeln!(
                 text,
                 "0 g BT /F1 {height_mm} Tf 1 0 0 -1 {x:.4} {y:.4} Tm ({}) Tj ET",
                 escaped(words)

@@ -5,61 +5,57 @@ use flockeye_dictionary::Dictionary;
 use flockeye_geometry::body::{Body, Facet, Marker};
 use nalgebra::{Point3, Vector3};
 
-use super::page::Shape;
+use super::page::{Ink, PaperDrawing};
 
 /// Room for the label below a facet, and for the up mark above it.
 const LABEL_MM: f64 = 5.0;
 const UP_MARK_MM: f64 = 3.5;
 
-/// A facet with its marker and its label, in millimetres from the top left of the room it takes.
-pub(super) struct Piece {
-    pub(super) size_mm: [f64; 2],
-    pub(super) shapes: Vec<Shape>,
-    pub(super) name: String,
+/// The name of a facet, and its drawing with a label: seen from outside, the marker upright.
+pub(super) fn piece(
+    facet: &Facet,
+    body: &Body,
+    dictionary: &Dictionary,
+) -> anyhow::Result<(String, PaperDrawing)> {
+    let marker = facet.marker.map(|k| &body.markers[k]);
+    let up = up_of(facet, marker);
+    let right = up.cross(&facet.normal);
+    let flat = |p: &Point3<f64>| [right.dot(&p.coords) * 1e3, -up.dot(&p.coords) * 1e3];
+    let outline: Vec<[f64; 2]> = facet.outline.iter().map(flat).collect();
+    let least = |axis: usize| outline.iter().map(|p| p[axis]).fold(f64::INFINITY, f64::min);
+    let most = |axis: usize| outline.iter().map(|p| p[axis]).fold(f64::NEG_INFINITY, f64::max);
+    let (width, height) = (most(0) - least(0), most(1) - least(1));
+    let offset = [-least(0), UP_MARK_MM - least(1)];
+    let mut shapes = vec![Ink::Outline { corners: outline.clone() }];
+    let name = match marker {
+        Some(marker) => {
+            let print = dictionary
+                .print(marker.id)
+                .with_context(|| format!("{dictionary:?} has no marker {}", marker.id))?;
+            let corners = marker.corners.each_ref().map(flat);
+            shapes.push(Ink::Black(cells(&corners, print.cells(), |row, column| {
+                print.is_white(row as isize, column as isize)
+            })));
+            format!("id {}", marker.id)
+        }
+        None => "blank".to_owned(),
+    };
+    let mut shapes: Vec<Ink> = shapes.iter().map(|shape| shape.moved(offset)).collect();
+    // Outside of the facet, so that the print stays as it was designed.
+    let middle = width / 2.0;
+    shapes.push(Ink::Black(vec![vec![
+        [middle, 0.0],
+        [middle + 1.5, UP_MARK_MM - 1.0],
+        [middle - 1.5, UP_MARK_MM - 1.0],
+    ]]));
+    let at = [0.0, UP_MARK_MM + height + 3.5];
+    let text = format!("{} {name}", body.name);
+    shapes.push(Ink::Text { at, height_mm: 2.5, text });
+    Ok((name, PaperDrawing { size_mm: [width, UP_MARK_MM + height + LABEL_MM], shapes }))
 }
 
-impl Piece {
-    /// Draws `facet` as it is seen from outside, its marker upright.
-    pub(super) fn of(facet: &Facet, body: &Body, dictionary: &Dictionary) -> anyhow::Result<Self> {
-        let marker = facet.marker.map(|k| &body.markers[k]);
-        let up = up_of(facet, marker);
-        let right = up.cross(&facet.normal);
-        let flat = |p: &Point3<f64>| [right.dot(&p.coords) * 1e3, -up.dot(&p.coords) * 1e3];
-        let outline: Vec<[f64; 2]> = facet.outline.iter().map(flat).collect();
-        let least = |axis: usize| outline.iter().map(|p| p[axis]).fold(f64::INFINITY, f64::min);
-        let most = |axis: usize| outline.iter().map(|p| p[axis]).fold(f64::NEG_INFINITY, f64::max);
-        let (width, height) = (most(0) - least(0), most(1) - least(1));
-        let offset = [-least(0), UP_MARK_MM - least(1)];
-        let mut shapes = vec![Shape::Outline { corners: outline.clone() }];
-        let name = match marker {
-            Some(marker) => {
-                let print = dictionary
-                    .print(marker.id)
-                    .with_context(|| format!("{dictionary:?} has no marker {}", marker.id))?;
-                let corners = marker.corners.each_ref().map(flat);
-                shapes.push(Shape::Black(cells(&corners, print.cells(), |row, column| {
-                    print.is_white(row as isize, column as isize)
-                })));
-                format!("id {}", marker.id)
-            }
-            None => "blank".to_owned(),
-        };
-        let mut shapes: Vec<Shape> = shapes.iter().map(|shape| shape.moved(offset)).collect();
-        // Outside of the facet, so that the print stays as it was designed.
-        let middle = width / 2.0;
-        shapes.push(Shape::Black(vec![vec![
-            [middle, 0.0],
-            [middle + 1.5, UP_MARK_MM - 1.0],
-            [middle - 1.5, UP_MARK_MM - 1.0],
-        ]]));
-        let at = [0.0, UP_MARK_MM + height + 3.5];
-        let text = format!("{} {name}", body.name);
-        shapes.push(Shape::Text { at, height_mm: 2.5, text });
-        Ok(Self { size_mm: [width, UP_MARK_MM + height + LABEL_MM], shapes, name })
-    }
-}
-
-/// The direction that is up on a facet: the top of its marker, else +z, or +x on a horizontal facet.
+/// The direction that is up on a facet: the top of its marker, else +z, or +x on a horizontal
+/// facet.
 fn up_of(facet: &Facet, marker: Option<&Marker>) -> Vector3<f64> {
     let towards = match marker {
         Some(marker) => marker.corners[0] - marker.corners[3],

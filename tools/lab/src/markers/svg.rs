@@ -2,10 +2,10 @@
 
 use std::fmt::Write;
 
-use super::page::{Page, Shape};
+use super::page::{Ink, PaperDrawing};
 use crate::svg::escaped;
 
-pub(super) fn document(page: &Page) -> String {
+pub(super) fn document(page: &PaperDrawing) -> String {
     let [width, height] = page.size_mm;
     let mut text = format!(
         "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{width}mm\" height=\"{height}mm\" \
@@ -15,16 +15,16 @@ pub(super) fn document(page: &Page) -> String {
     for shape in &page.shapes {
         // Writing to a String cannot fail.
         let _ = match shape {
-            Shape::Black(loops) => {
+            Ink::Black(loops) => {
                 let path: String = loops.iter().map(|points| path(points)).collect();
                 writeln!(text, "<path fill=\"black\" fill-rule=\"evenodd\" d=\"{path}\"/>")
             }
-            Shape::Outline { corners } => writeln!(
+            Ink::Outline { corners } => writeln!(
                 text,
                 "<path fill=\"none\" stroke=\"#888\" stroke-width=\"0.2\" d=\"{}\"/>",
                 path(corners)
             ),
-            Shape::Text { at: [x, y], height_mm, text: words } => writeln!(
+            Ink::Text { at: [x, y], height_mm, text: words } => writeln!(
                 text,
                 "<text x=\"{x:.3}\" y=\"{y:.3}\" font-family=\"Helvetica, Arial, sans-serif\" \
                  font-size=\"{height_mm}\">{}</text>",

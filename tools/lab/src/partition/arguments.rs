@@ -2,8 +2,9 @@
 
 use std::path::PathBuf;
 
-use clap::{Args, ValueEnum};
-use flockeye_geometry::partition::{FEWEST, MOST, Method, PartitionError, STORED_SEED, Weights};
+use clap::Args;
+use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
+use flockeye_geometry::partition::{Criterion, FEWEST, MOST, Method, PartitionError, STORED_SEED};
 
 /// Arguments of `partition`.
 #[derive(Debug, Args)]
@@ -12,12 +13,13 @@ pub struct PartitionArguments {
     #[arg(long, default_value = "4..32", value_parser = counts)]
     pub counts: ViewCounts,
     /// covering: the smallest circles. paper: spread points, then grow circles.
-    #[arg(long, default_value = "covering")]
-    pub method: PartitionMethod,
+    #[arg(long, default_value = "covering", value_parser = methods())]
+    pub method: Method,
     /// Weights of the number of views, their pixels and their distortion in the cost.
     #[arg(long, value_name = "A1,A2,A3", value_parser = weights)]
-    pub weights: Option<Weights>,
-    /// Anything up to this width lies wholly in one view, degrees; a marker of 5 cm at 40 cm is 7.15.
+    pub weights: Option<Criterion>,
+    /// Anything up to this width lies wholly in one view, degrees; a marker of 5 cm at 40 cm is
+    /// 7.15.
     #[arg(long, value_name = "DEGREES", default_value_t = 7.15)]
     pub margin: f64,
     /// Pixels in a row of the sphere image.
@@ -40,32 +42,22 @@ pub struct PartitionArguments {
     pub picture: Option<PathBuf>,
 }
 
-/// Numbers of views.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct ViewCounts(pub Vec<usize>);
+/// Numbers of views. By this name clap takes them for one value.
+pub type ViewCounts = Vec<usize>;
 
-/// How the directions of a partition are found.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum PartitionMethod {
-    /// The smallest circles.
-    Covering,
-    /// Spread points, then grow circles.
-    Paper,
-}
-
-impl From<PartitionMethod> for Method {
-    fn from(method: PartitionMethod) -> Self {
-        match method {
-            PartitionMethod::Covering => Self::Covering,
-            PartitionMethod::Paper => Self::Paper,
-        }
-    }
+/// Reads how the directions of a partition are found.
+fn methods() -> impl TypedValueParser<Value = Method> {
+    let names = [
+        PossibleValue::new("covering").help("The smallest circles"),
+        PossibleValue::new("paper").help("Spread points, then grow circles"),
+    ];
+    PossibleValuesParser::new(names).map(|name| match name.as_str() {
+        "paper" => Method::Paper,
+        _ => Method::Covering,
+    })
 }
 
 /// Reads numbers of views: `12`, `6,12,24`, `4..32`.
-///
-/// # Errors
-/// What is wrong with it.
 pub fn counts(text: &str) -> Result<ViewCounts, String> {
     let number = |text: &str| {
         let number = text.trim().parse::<usize>();
@@ -87,20 +79,17 @@ pub fn counts(text: &str) -> Result<ViewCounts, String> {
             None => counts.push(number(part)?),
         }
     }
-    Ok(ViewCounts(counts))
+    Ok(counts)
 }
 
 /// Reads weights: `0.2,0.02,0.78`.
-///
-/// # Errors
-/// What is wrong with them.
-pub fn weights(text: &str) -> Result<Weights, String> {
+pub fn weights(text: &str) -> Result<Criterion, String> {
     let numbers = text.split(',').map(|part| part.trim().parse::<f64>());
     let numbers = numbers.collect::<Result<Vec<_>, _>>().ok();
     let numbers = numbers.and_then(|numbers| <[f64; 3]>::try_from(numbers).ok());
     let numbers =
         numbers.ok_or_else(|| format!("'{text}' must be three numbers, as in 0.2,0.02,0.78"))?;
-    Weights::new(numbers).map_err(|error| error.to_string())
+    Criterion::new(numbers).map_err(|error| error.to_string())
 }
 
 #[cfg(test)]
@@ -110,9 +99,9 @@ mod tests {
 
     #[test]
     fn counts_are_numbers_lists_and_ranges() {
-        assert_eq!(counts("12").unwrap().0, [12]);
-        assert_eq!(counts("6, 12,24").unwrap().0, [6, 12, 24]);
-        assert_eq!(counts("4..6,128").unwrap().0, [4, 5, 6, 128]);
+        assert_eq!(counts("12").unwrap(), [12]);
+        assert_eq!(counts("6, 12,24").unwrap(), [6, 12, 24]);
+        assert_eq!(counts("4..6,128").unwrap(), [4, 5, 6, 128]);
         for (text, wanted) in [
             ("3..8", "4 to 128 views, not 3"),
             ("4..129", "not 129"),
@@ -129,7 +118,7 @@ mod tests {
 
     #[test]
     fn weights_are_three_shares() {
-        assert_eq!(weights("0.2, 0.02, 0.78").unwrap(), Weights::default());
+        assert_eq!(weights("0.2, 0.02, 0.78").unwrap(), Criterion::default());
         assert!(weights("0.2,0.8").unwrap_err().contains("three numbers"));
         assert!(weights("a,b,c").unwrap_err().contains("three numbers"));
         assert!(weights("0.5,0.5,0.5").unwrap_err().contains("sum to 1"));

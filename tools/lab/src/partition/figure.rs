@@ -19,7 +19,7 @@ const PAPERS_OWN: [(usize, f64); 3] = [(6, 110.0), (12, 74.0), (24, 62.0)];
 /// and the paper's own three.
 pub(super) fn draw(arguments: &PartitionArguments) -> Result<String, PartitionError> {
     let series = |method| -> Result<Vec<(usize, f64)>, PartitionError> {
-        let found = arguments.counts.0.iter().map(|&count| {
+        let found = arguments.counts.iter().map(|&count| {
             let partition = Partition::of(method, count, arguments.seed)?;
             Ok((count, partition.covering_diameter_rad().to_degrees()))
         });

@@ -3,10 +3,10 @@
 use std::fmt;
 
 use flockeye_cli::text_table::TextTable;
-use flockeye_geometry::partition::{Criterion, Partition, PartitionError};
+use flockeye_geometry::partition::{Criterion, Method, Partition, PartitionError};
 use serde::Serialize;
 
-use super::arguments::{PartitionArguments, PartitionMethod};
+use super::arguments::PartitionArguments;
 
 /// What a partition costs.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -131,35 +131,28 @@ fn pixels_per_radian(width: u32) -> f64 {
 
 impl PartitionTable {
     /// The table of these partitions.
-    ///
-    /// # Errors
-    /// The margin cannot be used.
     pub fn of(
         arguments: &PartitionArguments,
         partitions: &[Partition],
     ) -> Result<Self, PartitionError> {
-        let weights = arguments.weights.unwrap_or_default();
-        let criterion = Criterion::new(weights);
+        let criterion = arguments.weights.unwrap_or_default();
         let rows =
             partitions.iter().map(|partition| PartitionRow::of(partition, &criterion, arguments));
         Ok(Self {
             method: match arguments.method {
-                PartitionMethod::Covering => "covering",
-                PartitionMethod::Paper => "paper",
+                Method::Covering => "covering",
+                Method::Paper => "paper",
             },
             seed: arguments.seed,
             margin_deg: arguments.margin,
             image_px: [arguments.width, arguments.width / 2],
-            weights: weights.values(),
+            weights: criterion.weights(),
             choice: criterion.choice(),
             partitions: rows.collect::<Result<_, _>>()?,
         })
     }
 
     /// JSON with a line for each partition.
-    ///
-    /// # Errors
-    /// A number is not finite.
     pub fn to_json(&self) -> serde_json::Result<String> {
         let head = Self { partitions: Vec::new(), ..self.clone() };
         let head = serde_json::to_string(&head)?;

@@ -6,49 +6,36 @@ use crate::svg::Svg;
 
 const SIDE: f64 = 300.0;
 
-/// From where the drawing shows the path: the directions that are right and up on it.
-struct Viewpoint {
-    name: &'static str,
-    right: Vector3<f64>,
-    up: Vector3<f64>,
-}
-
-/// One body's path, in pieces that are not joined.
-pub(super) struct FlightPath {
-    /// The true positions.
-    pub(super) truth: Vec<Vec<Vector3<f64>>>,
-    /// The measured positions.
-    pub(super) measured: Vec<Vec<Vector3<f64>>>,
-}
-
-/// The path seen from above, from the right, and at a slant. The last drawing can be turned with the
+/// The true and the measured positions of a body, in pieces that are not joined, seen from above,
+/// from the right, and at a slant. The last drawing can be turned with the
 /// mouse where scripts run.
-pub(super) fn draw(body: &str, path: &FlightPath) -> String {
+pub(super) fn draw(
+    body: &str,
+    truth: &[Vec<Vector3<f64>>],
+    measured: &[Vec<Vector3<f64>>],
+) -> String {
     let slant = Rotation3::from_euler_angles(0.0, 0.5, 0.6);
+    // With the directions that are right and up on the drawing.
     let viewpoints = [
-        Viewpoint { name: "from above", right: -Vector3::y(), up: Vector3::x() },
-        Viewpoint { name: "from the right", right: Vector3::x(), up: Vector3::z() },
-        Viewpoint {
-            name: "at a slant (drag to turn)",
-            right: slant * -Vector3::y(),
-            up: slant * Vector3::z(),
-        },
+        ("from above", -Vector3::y(), Vector3::x()),
+        ("from the right", Vector3::x(), Vector3::z()),
+        ("at a slant (drag to turn)", slant * -Vector3::y(), slant * Vector3::z()),
     ];
-    let points = || path.truth.iter().chain(&path.measured).flatten();
+    let points = || truth.iter().chain(measured).flatten();
     let reach_m = points().map(Vector3::norm).fold(0.1, f64::max);
     let scale = 0.46 * SIDE / reach_m;
     let arm_m = [0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0]
         .into_iter()
         .rfind(|arm_m| *arm_m <= reach_m / 2.0)
         .unwrap_or(reach_m / 2.0);
-    let drawings = viewpoints.map(|viewpoint| {
+    let drawings = viewpoints.map(|(name, right, up)| {
         let place = |point: &Vector3<f64>| {
-            let (x, y) = (point.dot(&viewpoint.right), point.dot(&viewpoint.up));
+            let (x, y) = (point.dot(&right), point.dot(&up));
             (SIDE / 2.0 + scale * x, SIDE / 2.0 - scale * y)
         };
         let mut svg = Svg::new(SIDE, SIDE);
         let arms = [("x", Vector3::x()), ("y", Vector3::y()), ("z", Vector3::z())];
-        for (name, arm) in arms {
+        for (axis, arm) in arms {
             let end = arm * arm_m;
             svg.line(&[place(&Vector3::zeros()), place(&end)], &data("axis", &[end]));
             let (x, y) = place(&(end * 1.12));
@@ -57,28 +44,28 @@ pub(super) fn draw(body: &str, path: &FlightPath) -> String {
             if (x - x0).hypot(y - y0) > 8.0 {
                 let attributes =
                     format!(r#"text-anchor="middle" {}"#, data("label", &[end * 1.12]));
-                svg.text((x, y + 4.5), &attributes, name);
+                svg.text((x, y + 4.5), &attributes, axis);
             }
         }
-        for (class, pieces) in [("truth", &path.truth), ("pose", &path.measured)] {
+        for (class, pieces) in [("truth", truth), ("pose", measured)] {
             for piece in pieces {
                 let line: Vec<_> = piece.iter().map(place).collect();
                 svg.line(&line, &data(class, piece));
             }
         }
-        let words = format!("{}; arms of {arm_m} m", viewpoint.name);
+        let words = format!("{name}; arms of {arm_m} m");
         svg.text((8.0, SIDE - 8.0), "", &words);
-        let turns = if viewpoint.name.contains("drag") {
+        let turns = if name.contains("drag") {
             let numbers = |v: &Vector3<f64>| format!("{:.4} {:.4} {:.4}", v.x, v.y, v.z);
             format!(
                 r#"class="turns" data-scale="{scale:.4}" data-right="{}" data-up="{}""#,
-                numbers(&viewpoint.right),
-                numbers(&viewpoint.up)
+                numbers(&right),
+                numbers(&up)
             )
         } else {
             String::new()
         };
-        svg.finish_in_page(&format!("The path of {body} {}", viewpoint.name), &turns)
+        svg.finish_in_page(&format!("The path of {body} {name}"), &turns)
     });
     format!("<div class=\"paths\">{}</div>\n", drawings.concat())
 }

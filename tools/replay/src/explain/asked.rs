@@ -18,11 +18,12 @@ pub struct ExplainArguments {
     /// The neighbour: the name of its body.
     #[arg(long, value_name = "NAME")]
     pub target: String,
-    /// The last frame exposed by then: time since the recording began (lossless: since the stream began), as
-    /// 12.3s, 900ms or 2min.
+    /// The last frame exposed by then: time since the recording began (lossless: since the stream
+    /// began), as 12.3s, 900ms or 2min.
     #[arg(long, value_name = "TIME", conflicts_with = "frame", required_unless_present = "frame")]
     pub at: Option<String>,
-    /// The frame with this number; the view's page names frames by SOURCE.EPOCH.NUMBER, which is unique.
+    /// The frame with this number; the view's page names frames by SOURCE.EPOCH.NUMBER, which is
+    /// unique.
     #[arg(long, value_name = "NUMBER")]
     pub frame: Option<String>,
     /// Also draws what was seen there to this file.
@@ -31,15 +32,6 @@ pub struct ExplainArguments {
     /// Prints the answer as JSON.
     #[arg(long)]
     pub json: bool,
-}
-
-/// A question about one target in one frame.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Question {
-    /// The name of the target's body.
-    pub target: String,
-    /// The frame.
-    pub when: When,
 }
 
 /// The way in which a frame is named.
@@ -61,17 +53,13 @@ pub enum When {
 }
 
 impl ExplainArguments {
-    /// The question.
-    ///
-    /// # Errors
-    /// The time or the frame cannot be read.
-    pub fn asked(&self) -> anyhow::Result<Question> {
-        let when = match (&self.at, &self.frame) {
+    /// The frame that is asked for.
+    pub fn when(&self) -> anyhow::Result<When> {
+        Ok(match (&self.at, &self.frame) {
             (_, Some(frame)) => named(frame)?,
             (Some(at), None) => When::At(seconds(at)?),
             (None, None) => bail!("neither --at nor --frame is given"),
-        };
-        Ok(Question { target: self.target.clone(), when })
+        })
     }
 }
 
@@ -121,14 +109,14 @@ mod tests {
         };
         assert!(parse(&[]).is_err(), "which frame?");
         assert!(parse(&["--at", "1s", "--frame", "3"]).is_err());
-        assert_eq!(parse(&["--frame", "3"]).unwrap().asked().unwrap().when, When::Frame(3));
+        assert_eq!(parse(&["--frame", "3"]).unwrap().when().unwrap(), When::Frame(3));
         let exactly = When::Exactly { source: 1, epoch: 0, number: 38 };
-        assert_eq!(parse(&["--frame", "1.0.38"]).unwrap().asked().unwrap().when, exactly);
+        assert_eq!(parse(&["--frame", "1.0.38"]).unwrap().when().unwrap(), exactly);
         for wrong in ["", "x", "-1", "1.2", "1.2.3.4", "1..3"] {
-            let refused = parse(&[&format!("--frame={wrong}")]).unwrap().asked().unwrap_err();
+            let refused = parse(&[&format!("--frame={wrong}")]).unwrap().when().unwrap_err();
             assert!(refused.to_string().contains("is no frame. Cure"), "{wrong}: {refused}");
         }
-        assert_eq!(parse(&["--at", "1.5s"]).unwrap().asked().unwrap().when, When::At(1.5));
+        assert_eq!(parse(&["--at", "1.5s"]).unwrap().when().unwrap(), When::At(1.5));
     }
 
     #[test]

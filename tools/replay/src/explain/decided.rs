@@ -4,10 +4,10 @@
 
 use flockeye_config::Resolved;
 use flockeye_contract::FrameStamp;
-use flockeye_fusion::{AccountEntry, MeasuredBy, Outcome, Trial};
+use flockeye_fusion::{AccountEntry, Outcome, Trial};
 
-use super::explanation::{Explanation, PassFacts, Step};
-use super::gathered::FrameMessages;
+use super::explanation::{DecisiveStep, FrameExplanation, PassFacts};
+use super::gathered::StageMessages;
 use super::known::{FrameKnowledge, ReplayOutcome};
 use super::poses::Mounting;
 use super::session::Session;
@@ -22,7 +22,7 @@ const FRAMES: u64 = 7;
 
 /// All that is known of alpha in a frame.
 fn known(resolved: &Resolved, recording: &Recording, stamp: FrameStamp) -> FrameKnowledge {
-    let mut gathered = FrameMessages::of(stamp, TARGET as u32);
+    let mut gathered = StageMessages::of(stamp, TARGET as u32);
     let mut session = Session::begin(resolved, TARGET, stamp);
     for (message, utc_ns) in recording.iter().cloned() {
         gathered.on(&message);
@@ -47,13 +47,10 @@ fn assert_same_hypotheses(said: &PassFacts, trial: &Trial) {
 }
 
 /// The pose that was published is the one that was decided on.
-fn assert_same_result(resolved: &Resolved, explanation: &Explanation, trial: &Trial) {
+fn assert_same_result(resolved: &Resolved, explanation: &FrameExplanation, trial: &Trial) {
     let Outcome::Published(measurement) = trial.outcome else { return };
     let result = explanation.result.as_ref().unwrap();
-    let by = match measurement.measured_by {
-        MeasuredBy::Decoded => flockeye_contract::MeasuredBy::Decoded,
-        MeasuredBy::Aligned => flockeye_contract::MeasuredBy::Aligned,
-    };
+    let by = measurement.measured_by;
     assert_eq!(result.measured_by, Some(by));
     assert_eq!(trial.measurement(), Some(measurement), "this camera's poses need no correction");
     let mounting = Mounting { resolved, target: TARGET };
@@ -62,7 +59,7 @@ fn assert_same_result(resolved: &Resolved, explanation: &Explanation, trial: &Tr
         (decided.position[axis] - result.measured.as_ref().unwrap().position[axis]).abs()
     });
     assert!(off.fold(0.0, f64::max) < 1e-9);
-    assert_eq!(explanation.step, Step::Measured);
+    assert_eq!(explanation.step, DecisiveStep::Measured);
     if let (true, Some(chosen)) =
         (by == flockeye_contract::MeasuredBy::Aligned, trial.decision.hypothesis())
     {

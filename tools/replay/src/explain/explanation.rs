@@ -1,27 +1,25 @@
-//! The answer, as data: what `--json` prints. Angles are degrees, lengths metres, poses those of the target drone in the
-//! observer's frame. What is not known is null.
+//! The answer, as data: what `--json` prints. Angles are degrees, lengths metres, poses those of
+//! the target drone in the observer's frame. What is not known is null.
 
 use flockeye_contract::{MeasuredBy, StopReason, TrackState, ViewKind};
 use serde::Serialize;
 
 /// Why a frame gave this pose of a target, or none.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Explanation {
-    /// The recording.
+pub struct FrameExplanation {
     pub recording: String,
-    /// The target.
     pub target: String,
-    /// The frame.
     pub frame: FrameFacts,
     /// The step that decided.
-    pub step: Step,
+    pub step: DecisiveStep,
     /// The same in plain words.
     pub why: String,
     /// The track before the frame.
     pub before: BeforeFacts,
     /// The views of the frame, and those of its plan that were not cut.
     pub views: Vec<ViewFacts>,
-    /// In how many frames the place is searched next; null: not among those that were looked through.
+    /// In how many frames the place is searched next; null: not among those that were looked
+    /// through.
     pub next_search_in: Option<u64>,
     /// What was found of the target.
     pub markers: Vec<MarkerFacts>,
@@ -40,7 +38,7 @@ pub struct Explanation {
 /// The step of the pipeline that decided.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Step {
+pub enum DecisiveStep {
     /// The target was measured.
     Measured,
     /// A pose was measured when the frame had ended: it only corrected the track.
@@ -82,7 +80,6 @@ pub enum Step {
 pub struct FrameFacts {
     /// Its number.
     pub sequence: u64,
-    /// Its epoch.
     pub epoch: u32,
     /// When it was exposed, seconds since the recording began.
     pub at_s: f64,
@@ -133,7 +130,6 @@ pub struct PoseFacts {
 /// Standard deviations, all axes together.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Deviations {
-    /// Of the position.
     pub position_m: f64,
     /// Of the attitude.
     pub rotation_deg: f64,
@@ -150,7 +146,8 @@ pub struct ViewFacts {
     pub tile: Option<u32>,
     /// The name of the target whose region it is.
     pub region_of: Option<String>,
-    /// Whether it shows the place where the target is predicted, or is by the truth; null: no such place is known.
+    /// Whether it shows the place where the target is predicted, or is by the truth; null: no such
+    /// place is known.
     pub shows_place: Option<bool>,
     /// Whether it was cut.
     pub is_cut: bool,
@@ -169,15 +166,14 @@ pub struct ViewFacts {
 /// A marker of the target, or a square that is probably one.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct MarkerFacts {
-    /// Its id.
     pub id: u32,
-    /// The view.
     pub view_index: u32,
     /// Whether it was decoded. A square that was not is only a place to start from.
     pub is_decoded: bool,
     /// Whether it was seen where the target is expected; null: no such place is known.
     pub is_at_place: Option<bool>,
-    /// The distance of its corners from where the frame's pose has them, root mean square, pixels of the view.
+    /// The distance of its corners from where the frame's pose has them, root mean square, pixels
+    /// of the view.
     pub residual_px: Option<f64>,
     /// The pose that this is about.
     pub residual_of: Option<ResidualOf>,
@@ -223,7 +219,6 @@ pub struct PassFacts {
 /// A pose from corners.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct CornerFacts {
-    /// The pose.
     pub pose: PoseFacts,
     /// Its cost, in squared standard deviations.
     pub cost: f64,
@@ -248,7 +243,6 @@ pub struct HypothesisFacts {
     pub deviations: Option<Deviations>,
     /// All log odds together.
     pub log_odds: Option<f64>,
-    /// Its terms.
     pub terms: Option<LogOddsTerms>,
     /// Mean correlation of the cells with the picture.
     pub correlation: Option<f64>,
@@ -265,7 +259,6 @@ pub struct HypothesisFacts {
 /// What the log odds of a hypothesis are the sum of.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct LogOddsTerms {
-    /// The picture.
     pub picture: f64,
     /// The part of the picture's that the facets beside the most informative one have.
     pub picture_of_other_facets: f64,
@@ -297,12 +290,12 @@ pub struct ResultFacts {
     /// Since when it was not measured, seconds.
     pub unseen_s: f64,
     /// What each stage took, milliseconds; null where it is not known.
-    pub latency_ms: Latency,
+    pub latency_ms: StageLatencies,
 }
 
 /// What each stage took, milliseconds.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Latency {
+pub struct StageLatencies {
     /// Exposure to frame.
     pub capture: Option<f64>,
     /// Frame to view.
@@ -311,14 +304,12 @@ pub struct Latency {
     pub detection: Option<f64>,
     /// Record, or view, to track.
     pub fusion: Option<f64>,
-    /// All.
     pub total: Option<f64>,
 }
 
 /// What the source knows.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct TruthFacts {
-    /// The pose.
     pub pose: PoseFacts,
     /// By how much the result is off: the measurement, or else the track.
     pub error: Option<Deviations>,

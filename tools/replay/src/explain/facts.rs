@@ -8,30 +8,30 @@ use flockeye_convert::{at_exposure, isometry, matrix6, view_of};
 use flockeye_geometry::Ray;
 use flockeye_geometry::body::Body;
 use flockeye_geometry::filter;
-use flockeye_geometry::pose::PoseDeviations;
+use flockeye_geometry::pose::position_deviation_m;
 use flockeye_geometry::view::View;
 use nalgebra::{Isometry3, Unit, Vector3};
 
 use super::explanation::{
-    BeforeFacts, Explanation, FrameFacts, Latency, MarkerFacts, Reliance, ResultFacts, Step,
-    TruthFacts, ViewFacts,
+    BeforeFacts, DecisiveStep, FrameExplanation, FrameFacts, MarkerFacts, Reliance, ResultFacts,
+    StageLatencies, TruthFacts, ViewFacts,
 };
-use super::gathered::FrameMessages;
+use super::gathered::StageMessages;
 use super::known::{FrameKnowledge, ReplayOutcome};
 use super::poses::{
-    Mounting, Place, deviations, difference, of_pose, place, predicted, reference_pose, told,
+    Mounting, TargetPlace, deviations, difference, of_pose, place, predicted, reference_pose, told,
 };
 use super::{judgement, passes};
 use flockeye_fusion::{candidate_rays, decoded_rays};
 
 /// The answer.
-pub fn explanation(path: &Path, resolved: &Resolved, known: &FrameKnowledge) -> Explanation {
+pub fn explanation(path: &Path, resolved: &Resolved, known: &FrameKnowledge) -> FrameExplanation {
     let FrameKnowledge { gathered, stamp, .. } = known;
     let body = resolved.bodies.get(known.target);
     let place = place(resolved, known);
     let direction = place.and_then(|place| place.direction());
     let end = gathered.end.as_ref();
-    let mut explanation = Explanation {
+    let mut explanation = FrameExplanation {
         recording: path.display().to_string(),
         target: body.map_or_else(String::new, |body| body.name.clone()),
         frame: FrameFacts {
@@ -43,7 +43,7 @@ pub fn explanation(path: &Path, resolved: &Resolved, known: &FrameKnowledge) -> 
             views_abandoned: end.map(|end| end.views_abandoned),
             stopped: end.and_then(|end| StopReason::try_from(end.reason).ok()),
         },
-        step: Step::Untold,
+        step: DecisiveStep::Untold,
         why: String::new(),
         before: before(resolved, known),
         views: views(resolved, known, direction.as_ref()),
@@ -155,16 +155,20 @@ fn next_search(known: &FrameKnowledge, direction: &Ray) -> Option<u64> {
 }
 
 /// The largest angle between a marker of the target and its expected direction, radians.
-fn reach_rad(body: &Body, known: &FrameKnowledge, place: &Place) -> f64 {
+fn reach_rad(body: &Body, known: &FrameKnowledge, place: &TargetPlace) -> f64 {
     let range_m = place.camera_from_markers.translation.vector.norm();
     let predicted = known.before.as_ref().and_then(|before| before.predicted);
     let doubt_m = predicted
         .filter(|_| place.is_predicted)
-        .map_or(0.0, |(_, covariance)| 3.0 * PoseDeviations::of(&covariance).position_m);
+        .map_or(0.0, |(_, covariance)| 3.0 * position_deviation_m(&covariance));
     (2.0 * body.radius() + doubt_m) / range_m.max(1e-3)
 }
 
-fn markers(resolved: &Resolved, known: &FrameKnowledge, place: Option<&Place>) -> Vec<MarkerFacts> {
+fn markers(
+    resolved: &Resolved,
+    known: &FrameKnowledge,
+    place: Option<&TargetPlace>,
+) -> Vec<MarkerFacts> {
     let Some(body) = resolved.bodies.get(known.target) else { return Vec::new() };
     let reference = reference_pose(resolved, known);
     let mut all = Vec::new();
@@ -220,7 +224,7 @@ fn result(track: &Track) -> ResultFacts {
         deviations: deviations(&matrix6(&track.covariance)),
         markers: track.markers,
         unseen_s: track.unseen_ns as f64 * 1e-9,
-        latency_ms: Latency {
+        latency_ms: StageLatencies {
             capture: ms(track.latency.capture_ns),
             rectification: ms(track.latency.rectification_ns),
             detection: ms(track.latency.detection_ns),
@@ -230,7 +234,7 @@ fn result(track: &Track) -> ResultFacts {
     }
 }
 
-fn truth(gathered: &FrameMessages) -> Option<TruthFacts> {
+fn truth(gathered: &StageMessages) -> Option<TruthFacts> {
     let body = gathered.true_body()?;
     let there = isometry(&body.observer_from_target);
     Some(TruthFacts {
@@ -243,7 +247,11 @@ fn truth(gathered: &FrameMessages) -> Option<TruthFacts> {
 }
 
 /// The name of a nearer body that is in the way, by fusion's tracks or by the truth.
-fn hidden_by(resolved: &Resolved, known: &FrameKnowledge, place: Option<&Place>) -> Option<String> {
+fn hidden_by(
+    resolved: &Resolved,
+    known: &FrameKnowledge,
+    place: Option<&TargetPlace>,
+) -> Option<String> {
     let place = place?;
     let (direction, range_m) =
         (place.direction()?, place.camera_from_markers.translation.vector.norm());
@@ -272,8 +280,6 @@ fn hidden_by(resolved: &Resolved, known: &FrameKnowledge, place: Option<&Place>)
 }
 
 fn reliance(known: &FrameKnowledge) -> Reliance {
-    let lost: Vec<(String, u64)> =
-        known.lost.iter().map(|lost| (lost.topic.clone(), lost.messages)).collect();
     let mut untold = Vec::new();
     let difference = match &known.replay {
         ReplayOutcome::Same => None,
@@ -289,5 +295,10 @@ fn reliance(known: &FrameKnowledge) -> Reliance {
         let cure = "the recording has no pixels of views. Cure: record with them (--frames views)";
         untold.push(format!("what the picture shows: {cure}"));
     }
-    Reliance { is_exact: known.replay == ReplayOutcome::Same, difference, untold, lost }
+    Reliance {
+        is_exact: known.replay == ReplayOutcome::Same,
+        difference,
+        untold,
+        lost: known.lost.clone(),
+    }
 }

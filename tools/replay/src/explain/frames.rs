@@ -15,19 +15,16 @@ const LAST_FRAME_S: f64 = 0.25;
 
 /// The frames of a recording.
 #[derive(Debug)]
-pub struct Frames {
+pub struct FrameList {
     stamps: BTreeMap<FrameOrder, FrameStamp>,
     /// The time on the clock of the exposures at which the recording began, nanoseconds.
     begun_ns: i64,
     /// What the recording lacks.
-    pub lost: Vec<LostMessages>,
+    pub lost: LostMessages,
 }
 
-impl Frames {
+impl FrameList {
     /// Reads a recording to its end, or to where it is damaged.
-    ///
-    /// # Errors
-    /// The recording cannot be read at all.
     pub fn of(path: &Path) -> anyhow::Result<Self> {
         let mut recorded = RecordedFlight::open(path)?;
         let mut stamps = BTreeMap::new();
@@ -64,11 +61,8 @@ impl Frames {
         stamp.exposure_ns.saturating_sub(self.begun_ns) as f64 * 1e-9
     }
 
-    /// The frame that is meant, and when it was exposed, seconds since the recording began. Where a source has
-    /// started again, numbers repeat: the first frame with the number is meant.
-    ///
-    /// # Errors
-    /// There is no such frame.
+    /// The frame that is meant, and when it was exposed, seconds since the recording began. Where a
+    /// source has started again, numbers repeat: the first frame with the number is meant.
     pub fn chosen(&self, when: When) -> anyhow::Result<(FrameStamp, f64)> {
         let found = match when {
             When::Frame(number) => self.stamps.values().find(|stamp| stamp.sequence == number),
@@ -120,7 +114,7 @@ mod tests {
     #[test]
     fn the_last_frame_that_was_exposed_by_then_is_meant() {
         let stamps = (3..9).map(|number| (stamp(number).order(), stamp(number))).collect();
-        let frames = Frames { stamps, begun_ns: 10_000_000_000, lost: Vec::new() };
+        let frames = FrameList { stamps, begun_ns: 10_000_000_000, lost: Vec::new() };
         let number = |when| frames.chosen(when).map(|(stamp, _)| stamp.sequence);
         assert_eq!(number(When::Frame(5)).unwrap(), 5);
         let FrameStamp { source_generation: source, epoch, .. } = stamp(5);

@@ -7,7 +7,7 @@ use flockeye_contract::{
     TruthHeader, ViewHeader,
 };
 
-use crate::recorded::{Message, RecordedPixels};
+use crate::recorded::{FlightMessage, RecordedPixels};
 use flockeye_fusion::Record;
 
 /// Number of plans that are kept for frames that still follow them.
@@ -15,7 +15,7 @@ const PLANS: usize = 16;
 
 /// Messages about a frame.
 #[derive(Debug)]
-pub struct FrameMessages {
+pub struct StageMessages {
     stamp: FrameStamp,
     target: u32,
     plans: BTreeMap<u64, (PlanHeader, Vec<PlannedView>)>,
@@ -23,7 +23,6 @@ pub struct FrameMessages {
     pub views: BTreeMap<u32, (ViewHeader, Option<RecordedPixels>)>,
     /// The views' records.
     pub records: BTreeMap<u32, Record>,
-    /// Its end.
     pub end: Option<FrameEnd>,
     /// Tracks that fusion sent for the frame, in their order.
     pub tracks: Vec<Track>,
@@ -41,20 +40,20 @@ pub struct FrameMessages {
 }
 
 /// The frame that a message is of.
-pub fn stamp_of(message: &Message) -> Option<FrameStamp> {
+pub fn stamp_of(message: &FlightMessage) -> Option<FrameStamp> {
     match message {
-        Message::Frame(header) => Some(header.stamp),
-        Message::Header(header) | Message::View(header, _) => Some(header.stamp),
-        Message::Searched(record) => Some(record.header.stamp),
-        Message::FrameEnd(end) => Some(end.stamp),
-        Message::Rotation(rotation) => Some(rotation.stamp),
-        Message::Tracks(header, ..) => Some(header.stamp),
-        Message::Truth(header, _) => Some(header.stamp),
-        Message::Plan(..) | Message::Journal(..) => None,
+        FlightMessage::Frame(header) => Some(header.stamp),
+        FlightMessage::Header(header) | FlightMessage::View(header, _) => Some(header.stamp),
+        FlightMessage::Searched(record) => Some(record.header.stamp),
+        FlightMessage::FrameEnd(end) => Some(end.stamp),
+        FlightMessage::Rotation(rotation) => Some(rotation.stamp),
+        FlightMessage::Tracks(header, ..) => Some(header.stamp),
+        FlightMessage::Truth(header, _) => Some(header.stamp),
+        FlightMessage::Plan(..) | FlightMessage::Journal(..) => None,
     }
 }
 
-impl FrameMessages {
+impl StageMessages {
     /// Begins with this frame and target, before the first message.
     pub fn of(stamp: FrameStamp, target: u32) -> Self {
         Self {
@@ -98,10 +97,10 @@ impl FrameMessages {
     }
 
     /// Takes a message of the recording.
-    pub fn on(&mut self, message: &Message) {
+    pub fn on(&mut self, message: &FlightMessage) {
         let (own, order) = (self.stamp.order(), stamp_of(message).map(|stamp| stamp.order()));
         match message {
-            Message::Plan(header, views, _) => {
+            FlightMessage::Plan(header, views, _) => {
                 if self.later_frames.is_empty() {
                     self.plans.insert(header.plan_id, (*header, views.clone()));
                 }
@@ -109,7 +108,7 @@ impl FrameMessages {
                     self.plans.pop_first();
                 }
             }
-            Message::Tracks(header, tracks, _) if order < Some(own) => {
+            FlightMessage::Tracks(header, tracks, _) if order < Some(own) => {
                 let of_target = tracks.iter().filter(|track| track.target == self.target);
                 for track in of_target {
                     self.before = Some((header.stamp, *track));
@@ -120,7 +119,7 @@ impl FrameMessages {
                 }
             }
             _ if order == Some(own) => self.on_own(message),
-            Message::Header(header) if order > Some(own) => self.later.push(*header),
+            FlightMessage::Header(header) if order > Some(own) => self.later.push(*header),
             _ => {}
         }
         if let Some(order) = order.filter(|order| *order > own) {
@@ -128,26 +127,28 @@ impl FrameMessages {
         }
     }
 
-    fn on_own(&mut self, message: &Message) {
+    fn on_own(&mut self, message: &FlightMessage) {
         match message {
-            Message::Header(header) => {
+            FlightMessage::Header(header) => {
                 self.views.insert(header.view_index, (*header, None));
             }
-            Message::View(header, pixels) => {
+            FlightMessage::View(header, pixels) => {
                 self.views.insert(header.view_index, (*header, Some(pixels.clone())));
             }
-            Message::Searched(record) => {
+            FlightMessage::Searched(record) => {
                 // The first answer counts.
                 self.records.entry(record.header.view_index).or_insert_with(|| record.clone());
             }
-            Message::FrameEnd(end) => self.end = Some(*end),
-            Message::Tracks(header, tracks, _) => {
+            FlightMessage::FrameEnd(end) => self.end = Some(*end),
+            FlightMessage::Tracks(header, tracks, _) => {
                 self.tracks.extend(tracks);
                 self.has_last |= header.is_last == 1;
             }
-            Message::Truth(header, bodies) => self.truth = Some((*header, bodies.clone())),
-            Message::Frame(_) | Message::Rotation(_) | Message::Plan(..) | Message::Journal(..) => {
-            }
+            FlightMessage::Truth(header, bodies) => self.truth = Some((*header, bodies.clone())),
+            FlightMessage::Frame(_)
+            | FlightMessage::Rotation(_)
+            | FlightMessage::Plan(..)
+            | FlightMessage::Journal(..) => {}
         }
     }
 

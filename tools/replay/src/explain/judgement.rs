@@ -3,23 +3,23 @@
 use flockeye_contract::{MeasuredBy, StopReason, ViewKind};
 use flockeye_fusion::{AccountEntry, CornerVerdict, Hypothesis, Outcome, Pass, Verdict};
 
-use super::explanation::{Explanation, Step, ViewFacts};
+use super::explanation::{DecisiveStep, FrameExplanation, ViewFacts};
 use super::known::FrameKnowledge;
 use super::passes::{decided, pass_name};
-use super::poses::Place;
+use super::poses::TargetPlace;
 
-/// Largest angle between a hypothesis about the body and where the body is expected, radians. The view of a proposal of a
-/// body at 2 m is narrower.
+/// Largest angle between a hypothesis about the body and where the body is expected, radians. The
+/// view of a proposal of a body at 2 m is narrower.
 const ELSEWHERE_RAD: f64 = 0.1;
 
 /// The step that decided, and what to say of it.
 pub fn of(
     known: &FrameKnowledge,
-    explanation: &Explanation,
-    place: Option<&Place>,
-) -> (Step, String) {
+    explanation: &FrameExplanation,
+    place: Option<&TargetPlace>,
+) -> (DecisiveStep, String) {
     let (step, mut why) = decisive(known, explanation, place);
-    if let (true, Some(other)) = (step != Step::Measured, &explanation.hidden_by) {
+    if let (true, Some(other)) = (step != DecisiveStep::Measured, &explanation.hidden_by) {
         why.push_str(&format!(". {other} is in front of it and may hide it"));
     }
     (step, why)
@@ -27,11 +27,11 @@ pub fn of(
 
 fn decisive(
     known: &FrameKnowledge,
-    explanation: &Explanation,
-    place: Option<&Place>,
-) -> (Step, String) {
+    explanation: &FrameExplanation,
+    place: Option<&TargetPlace>,
+) -> (DecisiveStep, String) {
     if let Some(measured) = measured(known, explanation) {
-        return (Step::Measured, measured);
+        return (DecisiveStep::Measured, measured);
     }
     if let Some(said) = by_outcome(known) {
         return said;
@@ -39,7 +39,7 @@ fn decisive(
     if !known.gathered.has_ended() {
         let why =
             "the recording has no end of this frame: it was given up, or its recording was cut off";
-        return (Step::NotEnded, why.to_owned());
+        return (DecisiveStep::NotEnded, why.to_owned());
     }
     // Squares elsewhere belong to other bodies.
     let has = |is_decoded: bool| {
@@ -53,7 +53,7 @@ fn decisive(
                 return said;
             }
         }
-        None if !has_decoded => return (Step::NoPlaceKnown, no_place(known, explanation)),
+        None if !has_decoded => return (DecisiveStep::NoPlaceKnown, no_place(known, explanation)),
         _ => {}
     }
     if let Some(said) = by_hypotheses(known, place) {
@@ -69,7 +69,7 @@ fn decisive(
                 ids(explanation, true),
                 untold(explanation)
             );
-            (Step::Untold, why)
+            (DecisiveStep::Untold, why)
         }
         (false, true) => {
             let why = format!(
@@ -77,21 +77,21 @@ fn decisive(
                 ids(explanation, false),
                 untold(explanation)
             );
-            (Step::NothingDecoded, why)
+            (DecisiveStep::NothingDecoded, why)
         }
-        (false, false) => (Step::NothingFound, searched(explanation)),
+        (false, false) => (DecisiveStep::NothingFound, searched(explanation)),
     }
 }
 
 /// Why the reason is not known, as the end of a sentence.
-fn untold(explanation: &Explanation) -> &'static str {
+fn untold(explanation: &FrameExplanation) -> &'static str {
     match explanation.reliance.is_exact {
         true => "",
         false => "; why cannot be told without a replay",
     }
 }
 
-fn ids(explanation: &Explanation, is_decoded: bool) -> String {
+fn ids(explanation: &FrameExplanation, is_decoded: bool) -> String {
     let at_place = explanation.markers.iter().filter(|marker| marker.is_at_place != Some(false));
     let of_kind = at_place.filter(|marker| marker.is_decoded == is_decoded);
     let mut ids: Vec<u32> = of_kind.map(|marker| marker.id).collect();
@@ -100,7 +100,7 @@ fn ids(explanation: &Explanation, is_decoded: bool) -> String {
     ids.iter().map(u32::to_string).collect::<Vec<_>>().join(", ")
 }
 
-fn measured(known: &FrameKnowledge, explanation: &Explanation) -> Option<String> {
+fn measured(known: &FrameKnowledge, explanation: &FrameExplanation) -> Option<String> {
     let result = explanation.result.as_ref()?;
     let by = match result.measured_by? {
         MeasuredBy::Nothing => return None,
@@ -121,7 +121,7 @@ fn measured(known: &FrameKnowledge, explanation: &Explanation) -> Option<String>
 }
 
 /// A pose that was found, and was not published as the frame's measurement.
-fn by_outcome(known: &FrameKnowledge) -> Option<(Step, String)> {
+fn by_outcome(known: &FrameKnowledge) -> Option<(DecisiveStep, String)> {
     let at_end = known.decisions.iter().filter_map(|decision| match decision {
         AccountEntry::TakenImprecise(outcome) => Some(*outcome),
         _ => None,
@@ -129,20 +129,21 @@ fn by_outcome(known: &FrameKnowledge) -> Option<(Step, String)> {
     let outcomes = known.trials().map(|trial| trial.outcome).chain(at_end);
     let said = |outcome: Outcome| match outcome {
         Outcome::Late(_) => Some((
-            Step::TooLate,
+            DecisiveStep::TooLate,
             "a pose was found when the frame had ended: it corrected the track and was not published",
         )),
         Outcome::Corrected(_) => Some((
-            Step::Imprecise,
+            DecisiveStep::Imprecise,
             "the pose that was found is too imprecise to be published: it corrected the track",
         )),
         Outcome::OutsideGate(_) => Some((
-            Step::OutsideGate,
+            DecisiveStep::OutsideGate,
             "a pose was found and left out: it is not where the track can be",
         )),
-        Outcome::Refused(_) => {
-            Some((Step::OutsideGate, "a pose was found and left out: the track cannot use it"))
-        }
+        Outcome::Refused(_) => Some((
+            DecisiveStep::OutsideGate,
+            "a pose was found and left out: the track cannot use it",
+        )),
         _ => None,
     };
     let (step, why) = outcomes.filter_map(said).last()?;
@@ -150,7 +151,7 @@ fn by_outcome(known: &FrameKnowledge) -> Option<(Step, String)> {
 }
 
 /// Whether the place was looked at.
-fn of_views(explanation: &Explanation, place: &Place) -> Option<(Step, String)> {
+fn of_views(explanation: &FrameExplanation, place: &TargetPlace) -> Option<(DecisiveStep, String)> {
     let where_it_is = match place.is_predicted {
         true => "where its track predicts it",
         false => "where it really is (no track predicts it)",
@@ -165,7 +166,7 @@ fn of_views(explanation: &Explanation, place: &Place) -> Option<(Step, String)> 
     let there = || explanation.views.iter().filter(|view| view.shows_place == Some(true));
     if let Some(answered) = there().find(|view| view.is_answered && view.has_failed) {
         let why = format!("{} could not be searched", name_of(answered));
-        return Some((Step::SearchFailed, why));
+        return Some((DecisiveStep::SearchFailed, why));
     }
     // A region that is not searched for markers is looked at by alignment.
     if there().any(|view| view.is_answered) {
@@ -173,7 +174,7 @@ fn of_views(explanation: &Explanation, place: &Place) -> Option<(Step, String)> 
     }
     if let Some(view) = there().find(|view| view.is_cut) {
         let why = format!("{} was cut {where_it_is}, and detection never answered", name_of(view));
-        return Some((Step::Unanswered, why));
+        return Some((DecisiveStep::Unanswered, why));
     }
     let because = match explanation.frame.stopped {
         Some(StopReason::Newer) => "because a newer frame had come or was due",
@@ -188,7 +189,7 @@ fn of_views(explanation: &Explanation, place: &Place) -> Option<(Step, String)> 
     if let Some(region) = regions.next() {
         let name = name_of(region);
         let why = format!("{name} was planned {where_it_is} and abandoned, {because}{next}");
-        return Some((Step::Abandoned, why));
+        return Some((DecisiveStep::Abandoned, why));
     }
     if there().next().is_some() {
         let names: Vec<String> = there().map(name_of).collect();
@@ -196,13 +197,13 @@ fn of_views(explanation: &Explanation, place: &Place) -> Option<(Step, String)> 
             "not searched yet: {} {where_it_is} had no turn in this frame, {because}{next}",
             names.join(" and ")
         );
-        return Some((Step::NotItsTurn, why));
+        return Some((DecisiveStep::NotItsTurn, why));
     }
     let why = format!("no view of this frame shows the place {where_it_is}{next}");
-    Some((Step::OutsideViews, why))
+    Some((DecisiveStep::OutsideViews, why))
 }
 
-fn no_place(known: &FrameKnowledge, explanation: &Explanation) -> String {
+fn no_place(known: &FrameKnowledge, explanation: &FrameExplanation) -> String {
     let answered = explanation.views.iter().filter(|view| view.is_answered);
     let squares = match ids(explanation, false) {
         ids if ids.is_empty() => String::new(),
@@ -221,7 +222,7 @@ fn no_place(known: &FrameKnowledge, explanation: &Explanation) -> String {
 }
 
 /// What was found in the views that show the place.
-fn searched(explanation: &Explanation) -> String {
+fn searched(explanation: &FrameExplanation) -> String {
     let there = explanation.views.iter().filter(|view| view.shows_place == Some(true));
     let (searched, unsearched): (Vec<_>, Vec<_>) =
         there.filter(|view| view.is_answered).partition(|view| view.is_searched);
@@ -253,7 +254,10 @@ pub fn name_of(view: &ViewFacts) -> String {
 }
 
 /// The hypothesis that came nearest, and why it was not enough.
-fn by_hypotheses(known: &FrameKnowledge, place: Option<&Place>) -> Option<(Step, String)> {
+fn by_hypotheses(
+    known: &FrameKnowledge,
+    place: Option<&TargetPlace>,
+) -> Option<(DecisiveStep, String)> {
     // Most places that look like a body are none, so hypotheses there are not about this body.
     let mut all: Vec<(&Hypothesis, Verdict)> = Vec::new();
     for trial in known.trials() {
@@ -269,10 +273,10 @@ fn by_hypotheses(known: &FrameKnowledge, place: Option<&Place>) -> Option<(Step,
     };
     let is_rivalled = |verdict| matches!(verdict, Verdict::Rivals(_) | Verdict::OneFacetAlone);
     if let Some((_, rivalled)) = likeliest(&is_rivalled) {
-        return Some((Step::Rivals, format!("the likeliest pose: {rivalled}")));
+        return Some((DecisiveStep::Rivals, format!("the likeliest pose: {rivalled}")));
     }
     if let Some((_, imprecise)) = likeliest(&|verdict| verdict == Verdict::Imprecise) {
-        return Some((Step::Imprecise, format!("the likeliest pose: {imprecise}")));
+        return Some((DecisiveStep::Imprecise, format!("the likeliest pose: {imprecise}")));
     }
     let (hypothesis, below) = likeliest(&|_| true)?;
     let hidden = match hypothesis.found.as_ref().map(|found| found.visible_share) {
@@ -281,18 +285,18 @@ fn by_hypotheses(known: &FrameKnowledge, place: Option<&Place>) -> Option<(Step,
         }
         _ => String::new(),
     };
-    Some((Step::BelowThreshold, format!("the likeliest pose: {below}{hidden}")))
+    Some((DecisiveStep::BelowThreshold, format!("the likeliest pose: {below}{hidden}")))
 }
 
 /// Whether a hypothesis is about where the body is expected.
-fn is_at(hypothesis: &Hypothesis, place: Option<&Place>) -> bool {
+fn is_at(hypothesis: &Hypothesis, place: Option<&TargetPlace>) -> bool {
     let (Ok(found), Some(place)) = (&hypothesis.found, place) else { return false };
     let [found, place] = [&found.camera_from_markers, &place.camera_from_markers];
     found.translation.vector.angle(&place.translation.vector) < ELSEWHERE_RAD
 }
 
 /// Why corners alone were not enough.
-fn by_corners(known: &FrameKnowledge) -> Option<(Step, String)> {
+fn by_corners(known: &FrameKnowledge) -> Option<(DecisiveStep, String)> {
     let poses = known.trials().flat_map(|trial| &trial.corner_poses);
     let chosen = poses.filter(|pose| pose.is_chosen).last()?;
     let agreeing = chosen.solution.inlier_markers.len();
@@ -307,5 +311,5 @@ fn by_corners(known: &FrameKnowledge) -> Option<(Step, String)> {
             rotation_rad.to_degrees()
         ),
     };
-    Some((Step::TooFewCorners, why))
+    Some((DecisiveStep::TooFewCorners, why))
 }

@@ -5,7 +5,7 @@ use flockeye_fusion::{AccountEntry, Core, Trial};
 use flockeye_geometry::filter::TrackState;
 use nalgebra::{Isometry3, Matrix6};
 
-use super::gathered::FrameMessages;
+use super::gathered::StageMessages;
 use crate::recorded::{LostMessages, RecordedPixels};
 
 /// All that is known of one target in one frame.
@@ -17,7 +17,7 @@ pub struct FrameKnowledge {
     /// When it was exposed, seconds since the recording began.
     pub at_s: f64,
     /// Messages of the stages.
-    pub gathered: FrameMessages,
+    pub gathered: StageMessages,
     /// The track before the frame; `None` where the core was not replayed.
     pub before: Option<TrackBefore>,
     /// The account of the core, in its order.
@@ -25,7 +25,7 @@ pub struct FrameKnowledge {
     /// Whether the replayed core gave the recorded messages up to and with this frame.
     pub replay: ReplayOutcome,
     /// Messages that the recording lacks.
-    pub lost: Vec<LostMessages>,
+    pub lost: LostMessages,
 }
 
 impl FrameKnowledge {

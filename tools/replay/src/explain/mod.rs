@@ -37,23 +37,20 @@ use std::path::Path;
 use anyhow::{Context as _, bail};
 use flockeye_config::Resolved;
 
-use self::asked::{ExplainArguments, Question};
-use self::frames::Frames;
-use self::gathered::FrameMessages;
+use self::asked::{ExplainArguments, When};
+use self::frames::FrameList;
+use self::gathered::StageMessages;
 use self::known::FrameKnowledge;
 use self::session::Session;
 use crate::recorded::RecordedFlight;
 
-/// Frames after the explained one in which its next search is looked for.
+/// FrameList after the explained one in which its next search is looked for.
 const LOOK_AHEAD: usize = 60;
 
 /// Answers on the terminal, and in a picture where one is asked for.
-///
-/// # Errors
-/// The recording cannot be read, or has no such frame or body.
 pub fn main(arguments: &ExplainArguments) -> anyhow::Result<()> {
-    let asked = arguments.asked()?;
-    let (resolved, known) = look(&arguments.file, &asked)?;
+    let when = arguments.when()?;
+    let (resolved, known) = look(&arguments.file, &arguments.target, when)?;
     let explanation = facts::explanation(&arguments.file, &resolved, &known);
     match arguments.json {
         true => println!("{}", serde_json::to_string_pretty(&explanation)?),
@@ -66,17 +63,17 @@ pub fn main(arguments: &ExplainArguments) -> anyhow::Result<()> {
     }
 }
 
-/// Reads all that a recording has about a question.
-fn look(path: &Path, asked: &Question) -> anyhow::Result<(Resolved, FrameKnowledge)> {
+/// Reads all that a recording has about the target with this name in a frame.
+fn look(path: &Path, name: &str, when: When) -> anyhow::Result<(Resolved, FrameKnowledge)> {
     let mut recorded = RecordedFlight::open(path)?;
     let resolved = recorded.configuration()?;
     let names: Vec<&str> = resolved.bodies.iter().map(|body| body.name.as_str()).collect();
-    let Some(target) = names.iter().position(|name| *name == asked.target) else {
-        bail!("{} has no body '{}'. It has {}", path.display(), asked.target, names.join(", "));
+    let Some(target) = names.iter().position(|known| *known == name) else {
+        bail!("{} has no body '{name}'. It has {}", path.display(), names.join(", "));
     };
-    let frames = Frames::of(path).with_context(|| path.display().to_string())?;
-    let (stamp, at_s) = frames.chosen(asked.when)?;
-    let mut gathered = FrameMessages::of(stamp, target as u32);
+    let frames = FrameList::of(path).with_context(|| path.display().to_string())?;
+    let (stamp, at_s) = frames.chosen(when)?;
+    let mut gathered = StageMessages::of(stamp, target as u32);
     let mut replaying = Session::begin(&resolved, target, stamp);
     loop {
         let (message, utc_ns) = match recorded.next_message() {

@@ -1,13 +1,15 @@
 //! The account of the replayed core, as data.
 
 use flockeye_config::Resolved;
-use flockeye_imaging::align::{LeastLogOdds, least_lead};
+use flockeye_imaging::align::{
+    least_lead, least_log_odds_anywhere, least_log_odds_marked, least_log_odds_predicted,
+};
 
 use super::explanation::{CornerFacts, HypothesisFacts, LogOddsTerms, PassFacts};
 use super::poses::{Mounting, deviations};
 use flockeye_fusion::TimeBudget;
 use flockeye_fusion::{
-    AccountEntry, CornerPose, CornerVerdict, Hypothesis, NotRun, Outcome, Pass, Source, Trial,
+    AccountEntry, CornerPose, CornerVerdict, Hypothesis, NotRun, Outcome, Pass, StartSource, Trial,
     Verdict,
 };
 
@@ -119,7 +121,6 @@ fn hypothesis_facts(
 
 /// The verdict about a hypothesis, in plain words.
 pub fn decided(hypothesis: &Hypothesis, verdict: Verdict) -> String {
-    let asked = LeastLogOdds::asked();
     match verdict {
         Verdict::Accepted => match &hypothesis.found {
             Ok(found) if !found.is_precise => {
@@ -128,7 +129,7 @@ pub fn decided(hypothesis: &Hypothesis, verdict: Verdict) -> String {
             _ => "accepted".to_owned(),
         },
         Verdict::LessLikely => "it would do, and another is likelier".to_owned(),
-        Verdict::BelowThreshold => below(hypothesis, &asked),
+        Verdict::BelowThreshold => below(hypothesis),
         Verdict::Imprecise => "likely, but too imprecise to be a measurement by itself".to_owned(),
         Verdict::Rivals(lead) => format!(
             "likely, but it leads its rivals by {lead:.1} only, and {:.1} are asked for",
@@ -148,26 +149,25 @@ pub fn decided(hypothesis: &Hypothesis, verdict: Verdict) -> String {
 }
 
 /// The limit that a hypothesis did not reach, in plain words.
-fn below(hypothesis: &Hypothesis, asked: &LeastLogOdds) -> String {
+fn below(hypothesis: &Hypothesis) -> String {
     let Ok(found) = &hypothesis.found else { return "nothing could be compared".to_owned() };
     let (picture, turn) = (found.evidence.log_odds, hypothesis.turn_log);
+    let (anywhere, predicted) = (least_log_odds_anywhere(), least_log_odds_predicted());
     let mut said = match turn {
         // The direct pass asks for both: enough by itself, and enough with the prediction.
-        Some(turn) if picture + turn >= asked.predicted => format!(
-            "refused: the picture alone has log odds {picture:.1}, and {:.1} are asked for",
-            asked.anywhere
+        Some(turn) if picture + turn >= predicted => format!(
+            "refused: the picture alone has log odds {picture:.1}, and {anywhere:.1} are asked for"
         ),
         Some(turn) => format!(
-            "refused: log odds {:.1} with the prediction, and {:.1} are asked for",
-            picture + turn,
-            asked.predicted
+            "refused: log odds {:.1} with the prediction, and {predicted:.1} are asked for",
+            picture + turn
         ),
         None => {
-            format!("refused: log odds {picture:.1}, and {:.1} are asked for", asked.anywhere)
+            format!("refused: log odds {picture:.1}, and {anywhere:.1} are asked for")
         }
     };
     if hypothesis.is_marked {
-        said.push_str(&format!(" ({:.1} with its markers)", asked.marked));
+        said.push_str(&format!(" ({:.1} with its markers)", least_log_odds_marked()));
     }
     said
 }
@@ -195,16 +195,16 @@ fn reason_of(reason: NotRun) -> &'static str {
     }
 }
 
-fn source_of(source: Source) -> &'static str {
+fn source_of(source: StartSource) -> &'static str {
     match source {
-        Source::Corners => "decoded markers",
-        Source::DoubtfulSquares => "doubtful squares",
-        Source::Prediction => "prediction",
-        Source::RoughPrediction => "prediction, coarse first",
-        Source::DirectPass => "prediction, as the direct pass found it",
-        Source::Mirror => "mirror pose of the likeliest",
-        Source::Search => "search round the prediction",
-        Source::Place => "all attitudes at the place",
+        StartSource::Corners => "decoded markers",
+        StartSource::DoubtfulSquares => "doubtful squares",
+        StartSource::Prediction => "prediction",
+        StartSource::RoughPrediction => "prediction, coarse first",
+        StartSource::DirectPass => "prediction, as the direct pass found it",
+        StartSource::Mirror => "mirror pose of the likeliest",
+        StartSource::Search => "search round the prediction",
+        StartSource::Place => "all attitudes at the place",
     }
 }
 

@@ -1,4 +1,5 @@
-//! The answer as a picture: the view round the target with markers and hypotheses, and the model beside it.
+//! The answer as a picture: the view round the target with markers and hypotheses, and the model
+//! beside it.
 
 use std::fs::File;
 use std::io::BufWriter;
@@ -15,12 +16,11 @@ use flockeye_geometry::view::View;
 use flockeye_imaging::align::{AlignOptions, BodyPrint, Picture, depict};
 use nalgebra::{Isometry3, Point3, Vector2};
 
-use super::explanation::Explanation;
+use super::explanation::FrameExplanation;
 use super::known::FrameKnowledge;
 use super::poses;
 use crate::recorded::RecordedPixels;
-use flockeye_fusion::Pixels;
-use flockeye_fusion::{AccountEntry, Verdict};
+use flockeye_fusion::Verdict;
 
 /// Pixels along the side of the picture of the place.
 const SIDE_PX: usize = 720;
@@ -39,7 +39,7 @@ const DECODED: [u8; 3] = [70, 130, 255];
 const DOUBTFUL: [u8; 3] = [150, 150, 150];
 
 /// A picture in colours.
-struct Canvas {
+struct RgbPicture {
     width: usize,
     height: usize,
     rgb: Vec<u8>,
@@ -48,12 +48,13 @@ struct Canvas {
 /// Writes the picture.
 ///
 /// # Errors
-/// The recording has no pixels of the place, nothing says where it is, or the file cannot be written.
+/// The recording has no pixels of the place, nothing says where it is, or the file cannot be
+/// written.
 pub fn write(
     path: &Path,
     resolved: &Resolved,
     known: &FrameKnowledge,
-    explanation: &Explanation,
+    explanation: &FrameExplanation,
 ) -> anyhow::Result<()> {
     let Some((reference, _)) = poses::reference_pose(resolved, known).or_else(|| {
         let place = poses::place(resolved, known)?;
@@ -83,7 +84,8 @@ pub fn write(
     canvas.save(path).with_context(|| format!("cannot write {}", path.display()))
 }
 
-/// The view that alignment read or, where none was, the one that shows the place at the highest resolution.
+/// The view that alignment read or, where none was, the one that shows the place at the highest
+/// resolution.
 fn best_view<'k>(
     known: &'k FrameKnowledge,
     reference: &Isometry3<f64>,
@@ -92,10 +94,7 @@ fn best_view<'k>(
         let (header, pixels) = known.gathered.views.get(index)?;
         Some((header, pixels.as_ref()?))
     };
-    let read = known.decisions.iter().rev().find_map(|decision| match decision {
-        AccountEntry::Ran(trial) => with_pixels(&trial.view_index?),
-        _ => None,
-    });
+    let read = known.trials().filter_map(|trial| with_pixels(&trial.view_index?)).last();
     let direction = Ray::try_new(reference.translation.vector, 1e-9)?;
     let shows =
         |(header, _): &(&ViewHeader, &RecordedPixels)| view_of(header).holds(&direction, 0.0);
@@ -112,9 +111,9 @@ fn scene(
     header: &ViewHeader,
     pixels: &RecordedPixels,
     reference: &Isometry3<f64>,
-) -> anyhow::Result<Canvas> {
+) -> anyhow::Result<RgbPicture> {
     let view = view_of(header);
-    let image = image_of(header, pixels.pixels())?;
+    let image = image_of(header, pixels.as_ref())?;
     let range_m = reference.translation.vector.norm();
     let reach_px = view.focal_px * REACH_RADII * body.radius() / range_m;
     let scale = (SIDE_PX as f64 / (2.0 * reach_px)).min(MOST_ENLARGED);
@@ -122,7 +121,7 @@ fn scene(
     let middle = direction.and_then(|direction| view.project(&direction));
     let middle = middle.map_or_else(|| Vector2::repeat(view.centre_px()), |pixel| pixel.0);
     let half = SIDE_PX as f64 / 2.0;
-    let mut canvas = Canvas::new(SIDE_PX, SIDE_PX);
+    let mut canvas = RgbPicture::new(SIDE_PX, SIDE_PX);
     for y in 0..SIDE_PX {
         for x in 0..SIDE_PX {
             let at =
@@ -149,11 +148,7 @@ fn scene(
     if let Some((predicted, _)) = known.before.as_ref().and_then(|before| before.predicted) {
         outline(&predicted, PREDICTED);
     }
-    let trials = known.decisions.iter().filter_map(|decision| match decision {
-        AccountEntry::Ran(trial) => Some(trial),
-        _ => None,
-    });
-    let mut hypotheses: Vec<_> = trials.flat_map(|trial| trial.decided()).collect();
+    let mut hypotheses: Vec<_> = known.trials().flat_map(|trial| trial.decided()).collect();
     // Accepted hypotheses are drawn over all others.
     hypotheses.sort_by_key(|(_, verdict)| *verdict == Verdict::Accepted);
     for (hypothesis, verdict) in hypotheses {
@@ -191,21 +186,22 @@ fn seen(view: &View, point_in_camera: &Point3<f64>) -> Option<Vector2<f64>> {
     Some(view.project(&towards)?.0)
 }
 
-/// Picture, model and residual at a pose, one below the other; `None` where nothing can be compared.
+/// Picture, model and residual at a pose, one below the other; `None` where nothing can be
+/// compared.
 fn model(
     resolved: &Resolved,
     known: &FrameKnowledge,
     header: &ViewHeader,
     pixels: &RecordedPixels,
     reference: &Isometry3<f64>,
-) -> anyhow::Result<Option<Canvas>> {
+) -> anyhow::Result<Option<RgbPicture>> {
     let dictionary = Dictionary::load(&resolved.bodies.dictionary)?;
     let body = resolved.bodies.get(known.target).context("there is no such body")?;
     let print =
         BodyPrint::new(body, |id| dictionary.print(id)).context("a body cannot be drawn")?;
     let mut radiances = RadianceCache::new(resolved.measured_response)?;
     let light = radiances.of(header)?;
-    let image = image_of(header, pixels.pixels())?;
+    let image = image_of(header, pixels.as_ref())?;
     let picture =
         Picture::still(image, view_of(header), light, resolved.camera.pixels_per_radian());
     let Ok(shown) = depict(&print, &picture, reference, &AlignOptions::default()) else {
@@ -213,7 +209,7 @@ fn model(
     };
     let panels = shown.panels(light);
     let side = SIDE_PX / 3;
-    let mut canvas = Canvas::new(side, SIDE_PX);
+    let mut canvas = RgbPicture::new(side, SIDE_PX);
     let scale = (side as f64 / shown.width.max(shown.height) as f64).max(f64::MIN_POSITIVE);
     for panel in 0..3 {
         for y in 0..side {
@@ -229,7 +225,7 @@ fn model(
     Ok(Some(canvas))
 }
 
-impl Canvas {
+impl RgbPicture {
     fn new(width: usize, height: usize) -> Self {
         Self { width, height, rgb: vec![30; 3 * width * height] }
     }

@@ -1,16 +1,18 @@
-//! Poses of the target in the frame: where its track predicts it, where it was measured, and the likeliest one.
+//! Poses of the target in the frame: where its track predicts it, where it was measured, and the
+//! likeliest one.
 
 use flockeye_config::Resolved;
 use flockeye_contract::{MeasuredBy, Pose, Track, TrackState, ViewHeader, ViewKind};
 use flockeye_convert::{isometry, pose};
 use flockeye_geometry::Ray;
-use flockeye_geometry::pose::PoseDeviations;
+use flockeye_geometry::pose::{position_deviation_m, rotation_deviation_rad};
 use nalgebra::{Isometry3, Matrix6};
 
 use super::explanation::{Deviations, PoseFacts, ResidualOf};
 use super::known::FrameKnowledge;
 
-/// How the markers of a target are mounted: brings poses of its markers to those of its drone, and back.
+/// How the markers of a target are mounted: brings poses of its markers to those of its drone, and
+/// back.
 pub struct Mounting<'r> {
     /// The configuration.
     pub resolved: &'r Resolved,
@@ -56,8 +58,10 @@ pub fn of_pose(observer_from_target: &Isometry3<f64>) -> PoseFacts {
 
 /// Standard deviations of a pose, all axes together.
 pub fn deviations(covariance: &Matrix6<f64>) -> Deviations {
-    let PoseDeviations { position_m, rotation_rad } = PoseDeviations::of(covariance);
-    Deviations { position_m, rotation_deg: rotation_rad.to_degrees() }
+    Deviations {
+        position_m: position_deviation_m(covariance),
+        rotation_deg: rotation_deviation_rad(covariance).to_degrees(),
+    }
 }
 
 /// The difference between two poses.
@@ -78,14 +82,13 @@ pub fn told(track: &Track) -> &Pose {
 
 /// The place where the target is expected, by its track or by the truth.
 #[derive(Debug, Clone, Copy)]
-pub struct Place {
-    /// `camera_from_markers`.
+pub struct TargetPlace {
     pub camera_from_markers: Isometry3<f64>,
     /// Whether the track predicts it there.
     pub is_predicted: bool,
 }
 
-impl Place {
+impl TargetPlace {
     /// Its direction from the camera.
     pub fn direction(&self) -> Option<Ray> {
         Ray::try_new(self.camera_from_markers.translation.vector, 1e-9)
@@ -121,13 +124,13 @@ pub fn predicted(resolved: &Resolved, known: &FrameKnowledge) -> Option<Isometry
 }
 
 /// The place of the target in the frame.
-pub fn place(resolved: &Resolved, known: &FrameKnowledge) -> Option<Place> {
+pub fn place(resolved: &Resolved, known: &FrameKnowledge) -> Option<TargetPlace> {
     let by_track = predicted(resolved, known)
-        .map(|camera_from_markers| Place { camera_from_markers, is_predicted: true });
+        .map(|camera_from_markers| TargetPlace { camera_from_markers, is_predicted: true });
     by_track.or_else(|| {
         let truth = known.gathered.true_body()?;
         let camera_from_markers = isometry(&truth.camera_from_markers);
-        Some(Place { camera_from_markers, is_predicted: false })
+        Some(TargetPlace { camera_from_markers, is_predicted: false })
     })
 }
 

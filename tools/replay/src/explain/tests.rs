@@ -15,18 +15,18 @@ use flockeye_imaging::align::{AlignError, Alignment};
 use flockeye_recording::ContractMessage;
 use nalgebra::{Isometry3, Matrix6, Vector3};
 
-use super::explanation::{Explanation, Step};
-use super::gathered::FrameMessages;
+use super::explanation::{DecisiveStep, FrameExplanation};
+use super::gathered::StageMessages;
 use super::known::{FrameKnowledge, ReplayOutcome, TrackBefore};
 use super::{facts, text};
 use crate::fixtures::{self, facing_markers, measurement, stamp};
-use crate::recorded::{LostMessages, Message};
+use crate::recorded::FlightMessage;
 use flockeye_fusion::Record;
 use flockeye_fusion::TimeBudget;
 use flockeye_fusion::TrackPrior;
 use flockeye_fusion::{
-    AccountEntry, Choice, CornerPose, CornerVerdict, Decision, Hypothesis, NotRun, Outcome, Pass,
-    Source, Trial, Verdict,
+    AccountEntry, CornerPose, CornerVerdict, Decision, Hypothesis, NotRun, Outcome, Pass,
+    PoseIndex, StartSource, Trial, Verdict,
 };
 
 /// The frame that is asked about.
@@ -47,7 +47,7 @@ fn known(by: impl FnOnce(&mut FrameKnowledge)) -> FrameKnowledge {
         target: 0,
         stamp: stamp(FRAME),
         at_s: 0.2,
-        gathered: FrameMessages::of(stamp(FRAME), 0),
+        gathered: StageMessages::of(stamp(FRAME), 0),
         before: Some(TrackBefore {
             state: Some(filter::TrackState::Confirmed),
             predicted: Some((there(), Matrix6::identity() * 1e-6)),
@@ -60,12 +60,12 @@ fn known(by: impl FnOnce(&mut FrameKnowledge)) -> FrameKnowledge {
     known
 }
 
-fn explained(known: &FrameKnowledge) -> Explanation {
+fn explained(known: &FrameKnowledge) -> FrameExplanation {
     facts::explanation("flight.mcap".as_ref(), &resolved(), known)
 }
 
 /// The step that decided, and what is said of it.
-fn judged(by: impl FnOnce(&mut FrameKnowledge)) -> (Step, String) {
+fn judged(by: impl FnOnce(&mut FrameKnowledge)) -> (DecisiveStep, String) {
     let explanation = explained(&known(by));
     let said = text::of(&explanation);
     assert!(said.starts_with("alpha in frame 7 at 0.200 s: "), "{said}");
@@ -103,7 +103,7 @@ fn view(index: u32, kind: ViewKind, view: &View) -> ViewHeader {
 }
 
 fn cut(known: &mut FrameKnowledge, header: ViewHeader) {
-    known.gathered.on(&Message::Header(header));
+    known.gathered.on(&FlightMessage::Header(header));
 }
 
 fn planned(known: &mut FrameKnowledge, views: &[(ViewKind, View)]) {
@@ -122,7 +122,7 @@ fn planned(known: &mut FrameKnowledge, views: &[(ViewKind, View)]) {
     };
     let header = PlanHeader { plan_id: 3, ..PlanHeader::default() };
     let views = views.iter().map(planned).collect();
-    known.gathered.on(&Message::Plan(header, views, ContractMessage::default()));
+    known.gathered.on(&FlightMessage::Plan(header, views, ContractMessage::default()));
 }
 
 fn searched(known: &mut FrameKnowledge, index: u32, markers: Vec<DetectedMarker>, failed: u32) {
@@ -133,20 +133,20 @@ fn searched(known: &mut FrameKnowledge, index: u32, markers: Vec<DetectedMarker>
         failed,
         ..DetectionHeader::default()
     };
-    known.gathered.on(&Message::Searched(Record { header, markers }));
+    known.gathered.on(&FlightMessage::Searched(Record { header, markers }));
 }
 
 fn ended(known: &mut FrameKnowledge, reason: StopReason) {
     let end =
         FrameEnd { stamp: stamp(FRAME), plan_id: 3, reason: reason.code(), ..FrameEnd::default() };
-    known.gathered.on(&Message::FrameEnd(end));
+    known.gathered.on(&FlightMessage::FrameEnd(end));
     said(known, &[], true);
 }
 
 fn said(known: &mut FrameKnowledge, tracks: &[Track], is_last: bool) {
     let header =
         TrackHeader { stamp: stamp(FRAME), is_last: u32::from(is_last), ..TrackHeader::default() };
-    known.gathered.on(&Message::Tracks(header, tracks.to_vec(), ContractMessage::default()));
+    known.gathered.on(&FlightMessage::Tracks(header, tracks.to_vec(), ContractMessage::default()));
 }
 
 fn track(measured_by: MeasuredBy) -> Track {
@@ -174,15 +174,15 @@ fn alignment(log_odds: f64) -> Alignment {
 /// The decision that gives hypotheses these verdicts.
 fn decision(verdicts: &[Verdict]) -> Decision {
     let accepted = verdicts.iter().position(|verdict| *verdict == Verdict::Accepted);
-    let chosen = accepted.map(Choice::Hypothesis);
-    Decision { chosen, rivals: Vec::new(), reasons: verdicts.to_vec() }
+    let chosen = accepted.map(PoseIndex::Hypothesis);
+    Decision { chosen, reasons: verdicts.to_vec(), ..Decision::default() }
 }
 
 /// A pass over the region that found poses of these verdicts, and led to something.
 fn trial(outcome: Outcome, verdicts: &[(f64, Verdict)]) -> AccountEntry {
     let hypothesis = |(log_odds, _): &(f64, Verdict)| Hypothesis {
         turn_log: Some(1.0),
-        ..Hypothesis::of(Source::Prediction, Ok(alignment(*log_odds)))
+        ..Hypothesis::of(StartSource::Prediction, Ok(alignment(*log_odds)))
     };
     AccountEntry::Ran(Trial {
         hypotheses: verdicts.iter().map(hypothesis).collect(),
@@ -209,14 +209,14 @@ fn what_was_not_looked_at_is_told_by_its_first_step() {
         searched(known, 0, Vec::new(), 0);
         ended(known, StopReason::Newer);
     });
-    assert_eq!(step, Step::OutsideViews, "{why}");
+    assert_eq!(step, DecisiveStep::OutsideViews, "{why}");
     assert!(why.contains("no view of this frame shows the place where its track predicts it"));
 
     let (step, why) = judged(|known| {
         planned(known, &[(ViewKind::Roi, ahead())]);
         ended(known, StopReason::Newer);
     });
-    assert_eq!(step, Step::Abandoned, "{why}");
+    assert_eq!(step, DecisiveStep::Abandoned, "{why}");
     assert!(why.contains("the region of alpha was planned"), "{why}");
     assert!(why.contains("because a newer frame had come or was due"), "{why}");
 
@@ -225,9 +225,9 @@ fn what_was_not_looked_at_is_told_by_its_first_step() {
         ended(known, StopReason::Budget);
         // Three frames later it is.
         let later = ViewHeader { stamp: stamp(FRAME + 3), ..view(0, ViewKind::Roi, &ahead()) };
-        known.gathered.on(&Message::Header(later));
+        known.gathered.on(&FlightMessage::Header(later));
     });
-    assert_eq!(step, Step::NotItsTurn, "{why}");
+    assert_eq!(step, DecisiveStep::NotItsTurn, "{why}");
     assert!(why.contains("not searched yet: tile 4"), "{why}");
     assert!(why.contains("the next view of the place comes 3 frames later"), "{why}");
 
@@ -236,22 +236,22 @@ fn what_was_not_looked_at_is_told_by_its_first_step() {
         cut(known, region());
         ended(known, StopReason::Complete);
     });
-    assert_eq!(step, Step::Unanswered, "{why}");
+    assert_eq!(step, DecisiveStep::Unanswered, "{why}");
     let (step, why) = judged(|known| {
         cut(known, region());
         searched(known, 0, Vec::new(), 1);
         ended(known, StopReason::Complete);
     });
-    assert_eq!(step, Step::SearchFailed, "{why}");
+    assert_eq!(step, DecisiveStep::SearchFailed, "{why}");
     let (step, why) = judged(|known| cut(known, region()));
-    assert_eq!(step, Step::NotEnded, "{why}");
+    assert_eq!(step, DecisiveStep::NotEnded, "{why}");
 }
 
 #[test]
 fn what_was_looked_at_in_vain_is_told_by_what_was_found() {
     let not_run = || AccountEntry::NotRun(Pass::Direct, NotRun::NotMeasuredBefore);
     let (step, why) = judged(|known| looked_at(known, not_run()));
-    assert_eq!(step, Step::NothingFound, "{why}");
+    assert_eq!(step, DecisiveStep::NothingFound, "{why}");
     assert!(why.contains("no outline of its markers was found in the region of alpha"), "{why}");
 
     let found = |markers: Vec<DetectedMarker>| {
@@ -262,16 +262,16 @@ fn what_was_looked_at_in_vain_is_told_by_what_was_found() {
         })
     };
     let (step, why) = found(markers(false));
-    assert_eq!(step, Step::NothingDecoded, "{why}");
+    assert_eq!(step, DecisiveStep::NothingDecoded, "{why}");
     let (step, why) = found(markers(true));
-    assert_eq!(step, Step::Untold, "{why}");
+    assert_eq!(step, DecisiveStep::Untold, "{why}");
     // Squares elsewhere are others'.
     let mut elsewhere = markers(true);
     for marker in &mut elsewhere {
         marker.rays_in_camera = marker.rays_in_camera.map(|[x, y, z]| [-x, y, z]);
     }
     let (step, why) = found(elsewhere);
-    assert_eq!(step, Step::NothingFound, "{why}");
+    assert_eq!(step, DecisiveStep::NothingFound, "{why}");
 }
 
 #[test]
@@ -282,19 +282,19 @@ fn who_was_never_seen_and_is_nowhere_known_is_said_to_be_so() {
         searched(known, 0, Vec::new(), 0);
         ended(known, StopReason::Complete);
     });
-    assert_eq!(step, Step::NoPlaceKnown, "{why}");
+    assert_eq!(step, DecisiveStep::NoPlaceKnown, "{why}");
     assert!(why.contains("in the 1 views of this frame"), "{why}");
     // The source knows.
     let (step, why) = judged(|known| {
         known.before = Some(TrackBefore { state: None, predicted: None });
         let body = BodyTruth { camera_from_markers: pose(&there()), ..BodyTruth::default() };
         let truth = TruthHeader { stamp: stamp(FRAME), ..TruthHeader::default() };
-        known.gathered.on(&Message::Truth(truth, vec![body]));
+        known.gathered.on(&FlightMessage::Truth(truth, vec![body]));
         cut(known, view(0, ViewKind::Partition, &behind()));
         searched(known, 0, Vec::new(), 0);
         ended(known, StopReason::Complete);
     });
-    assert_eq!(step, Step::OutsideViews, "{why}");
+    assert_eq!(step, DecisiveStep::OutsideViews, "{why}");
     assert!(why.contains("where it really is (no track predicts it)"), "{why}");
 }
 
@@ -304,38 +304,39 @@ fn poses_that_were_refused_are_told_with_what_was_asked_for() {
         judged(|known| looked_at(known, trial(Outcome::Nothing, verdicts)))
     };
     let (step, why) = refused(&[(-2.0, Verdict::BelowThreshold), (1.5, Verdict::BelowThreshold)]);
-    assert_eq!(step, Step::BelowThreshold, "{why}");
+    assert_eq!(step, DecisiveStep::BelowThreshold, "{why}");
     assert!(why.contains("log odds 2.5 with the prediction, and 4.8 are asked for"), "{why}");
     // The direct pass asks for more than the prediction.
     let (step, why) = refused(&[(5.5, Verdict::BelowThreshold)]);
-    assert_eq!(step, Step::BelowThreshold, "{why}");
+    assert_eq!(step, DecisiveStep::BelowThreshold, "{why}");
     assert!(why.contains("the picture alone has log odds 5.5, and 6.7 are asked for"), "{why}");
     let (step, why) = refused(&[(9.0, Verdict::Rivals(2.0)), (7.0, Verdict::Rival)]);
-    assert_eq!(step, Step::Rivals, "{why}");
+    assert_eq!(step, DecisiveStep::Rivals, "{why}");
     assert!(why.contains("leads its rivals by 2.0 only, and 4.8 are asked for"), "{why}");
     let (step, why) = refused(&[(9.0, Verdict::OneFacetAlone)]);
-    assert_eq!(step, Step::Rivals, "{why}");
+    assert_eq!(step, DecisiveStep::Rivals, "{why}");
     let (step, why) = refused(&[(9.0, Verdict::Imprecise)]);
-    assert_eq!(step, Step::Imprecise, "{why}");
+    assert_eq!(step, DecisiveStep::Imprecise, "{why}");
     let (step, why) = judged(|known| {
         let mut decision = trial(Outcome::Nothing, &[]);
         if let AccountEntry::Ran(trial) = &mut decision {
-            trial.hypotheses = vec![Hypothesis::of(Source::Prediction, Err(AlignError::NotInView))];
+            trial.hypotheses =
+                vec![Hypothesis::of(StartSource::Prediction, Err(AlignError::NotInView))];
             trial.decision = self::decision(&[Verdict::NotAligned]);
         }
         looked_at(known, decision);
     });
-    assert_eq!(step, Step::NothingFound, "{why}");
+    assert_eq!(step, DecisiveStep::NothingFound, "{why}");
 }
 
 #[test]
 fn poses_that_were_found_and_not_published_are_told() {
     let found = measurement(&there());
     for (outcome, wanted) in [
-        (Outcome::Late(found), Step::TooLate),
-        (Outcome::Corrected(found), Step::Imprecise),
-        (Outcome::OutsideGate(found), Step::OutsideGate),
-        (Outcome::Refused(found), Step::OutsideGate),
+        (Outcome::Late(found), DecisiveStep::TooLate),
+        (Outcome::Corrected(found), DecisiveStep::Imprecise),
+        (Outcome::OutsideGate(found), DecisiveStep::OutsideGate),
+        (Outcome::Refused(found), DecisiveStep::OutsideGate),
     ] {
         let decision = trial(outcome, &[(9.0, Verdict::Accepted)]);
         let (step, why) = judged(|known| looked_at(known, decision));
@@ -343,7 +344,7 @@ fn poses_that_were_found_and_not_published_are_told() {
     }
     let at_end = AccountEntry::TakenImprecise(Outcome::Corrected(found));
     let (step, why) = judged(|known| looked_at(known, at_end));
-    assert_eq!(step, Step::Imprecise, "{why}");
+    assert_eq!(step, DecisiveStep::Imprecise, "{why}");
 }
 
 #[test]
@@ -359,8 +360,6 @@ fn corners_that_are_not_enough_are_told() {
             reduced_chi_square: 1.0,
             inlier_markers: vec![3],
             inlier_corners: 4,
-            corners: 4,
-            faces_camera: true,
         };
         let (step, why) = judged(|known| {
             let mut decision = trial(Outcome::Nothing, &[]);
@@ -372,7 +371,7 @@ fn corners_that_are_not_enough_are_told() {
             known.decisions.push(decision);
             ended(known, StopReason::Complete);
         });
-        assert_eq!(step, Step::TooFewCorners, "{why}");
+        assert_eq!(step, DecisiveStep::TooFewCorners, "{why}");
     }
 }
 
@@ -389,10 +388,10 @@ fn a_measured_pose_is_told_with_its_pass_and_its_error() {
             ..BodyTruth::default()
         };
         let truth = TruthHeader { stamp: stamp(FRAME), ..TruthHeader::default() };
-        known.gathered.on(&Message::Truth(truth, vec![body]));
+        known.gathered.on(&FlightMessage::Truth(truth, vec![body]));
     });
     let explanation = explained(&known);
-    assert_eq!(explanation.step, Step::Measured, "{}", explanation.why);
+    assert_eq!(explanation.step, DecisiveStep::Measured, "{}", explanation.why);
     assert!(explanation.why.contains("in the pass 'corners of the region', with log odds 10.0"));
     let error = explanation.truth.unwrap().error.unwrap();
     assert!((error.position_m - 0.003).abs() < 1e-9 && error.rotation_deg < 1e-6);
@@ -414,7 +413,7 @@ fn another_body_in_front_is_named_and_losses_are_told() {
         };
         said(known, &[bravo], false);
         known.replay = ReplayOutcome::Different("header.is_last: 0 and 1".into());
-        known.lost = vec![LostMessages { topic: "flockeye/view".into(), messages: 5 }];
+        known.lost = vec![("flockeye/view".into(), 5)];
     });
     let explanation = facts::explanation("flight.mcap".as_ref(), &resolved, &known);
     assert_eq!(explanation.hidden_by.as_deref(), Some("bravo"));

@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 
 use super::explanation::{
-    BeforeFacts, Deviations, Explanation, HypothesisFacts, MarkerFacts, PassFacts, PoseFacts,
+    BeforeFacts, Deviations, FrameExplanation, HypothesisFacts, MarkerFacts, PassFacts, PoseFacts,
     ResidualOf, ResultFacts, ViewFacts,
 };
 use super::judgement::name_of;
@@ -12,14 +12,14 @@ use super::judgement::name_of;
 const MOST_OTHER_VIEWS: usize = 12;
 
 /// The answer for people.
-pub fn of(explanation: &Explanation) -> String {
+pub fn of(explanation: &FrameExplanation) -> String {
     let mut out = String::new();
     // Writing to a string does not fail.
     let _ = write_all(&mut out, explanation);
     out
 }
 
-fn write_all(out: &mut String, explanation: &Explanation) -> std::fmt::Result {
+fn write_all(out: &mut String, explanation: &FrameExplanation) -> std::fmt::Result {
     let frame = &explanation.frame;
     writeln!(
         out,
@@ -60,7 +60,7 @@ fn write_all(out: &mut String, explanation: &Explanation) -> std::fmt::Result {
     reliance(out, explanation)
 }
 
-fn reliance(out: &mut String, explanation: &Explanation) -> std::fmt::Result {
+fn reliance(out: &mut String, explanation: &FrameExplanation) -> std::fmt::Result {
     let reliance = &explanation.reliance;
     writeln!(out)?;
     if reliance.is_exact {

@@ -7,13 +7,11 @@ use flockeye_contract::{PlanHeader, Plans, Topic, TrackHeader, Tracks};
 use flockeye_recording::message::first_difference;
 use flockeye_recording::{ContractMessage, TopicLayout, layouts};
 
-use crate::recorded::header;
+use crate::recorded::{contract_message, header};
 
 /// Both topics.
-pub struct Comparison {
-    /// Tracks.
+pub struct MessageComparison {
     pub tracks: Pairs,
-    /// Plans.
     pub plans: Pairs,
     /// Plans that are given and were not recorded.
     pub lost_plans: u64,
@@ -26,16 +24,14 @@ pub struct Pairs {
     given: VecDeque<ContractMessage>,
 }
 
-impl Comparison {
+impl MessageComparison {
     /// Before the first message.
-    ///
-    /// # Errors
-    /// A topic is missing from the contract.
     pub fn new() -> anyhow::Result<Self> {
         Ok(Self { tracks: Pairs::of::<Tracks>()?, plans: Pairs::of::<Plans>()?, lost_plans: 0 })
     }
 
-    /// Compares the messages that have a counterpart. Returns their number, and the first difference.
+    /// Compares the messages that have a counterpart. Returns their number, and the first
+    /// difference.
     pub fn compare(&mut self) -> (u64, Option<String>) {
         let (tracks, differs) =
             self.tracks.compare(|message| header::<TrackHeader>(message).stamp.sequence);
@@ -89,11 +85,7 @@ impl Pairs {
 
     /// Takes a message that the core gives.
     pub fn give<H: bytemuck::Pod, I: bytemuck::Pod>(&mut self, header: &H, items: &[I]) {
-        self.given.push_back(ContractMessage {
-            header: bytemuck::bytes_of(header).to_vec(),
-            items: bytemuck::cast_slice(items).to_vec(),
-            payload_bytes: 0,
-        });
+        self.given.push_back(contract_message(header, items));
     }
 
     fn compare(&mut self, frame_of: impl Fn(&ContractMessage) -> u64) -> (u64, Option<String>) {

@@ -1,7 +1,8 @@
 //! Messages to fusion's core, in the order of its journal.
 //!
-//! A recorder receives each topic by itself, so an entry may stand before the message that it names. It waits for
-//! that, and messages wait for their entries, each for a while of the recording's time.
+//! A recorder receives each topic by itself, so an entry may stand before the message that it
+//! names. It waits for that, and messages wait for their entries, each for a while of the
+//! recording's time.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::time::Duration;
@@ -13,10 +14,12 @@ use crate::recorded::RecordedPixels;
 use flockeye_fusion::Event;
 use flockeye_fusion::entry_of;
 
-/// Time for which an entry waits for its message: a recorder without a processor receives topics this far apart at most.
+/// Time for which an entry waits for its message: a recorder without a processor receives topics
+/// this far apart at most.
 const PATIENCE: Duration = Duration::from_secs(5);
 
-/// Time for which a message waits for its entry: it may lie before fusion for as long as fusion is held up.
+/// Time for which a message waits for its entry: it may lie before fusion for as long as fusion is
+/// held up.
 const RETENTION: Duration = Duration::from_secs(60);
 
 /// The reason why fusion cannot be replayed from a recording without a journal.
@@ -26,7 +29,7 @@ pub const NO_JOURNAL: &str = "the recording has no journal of fusion, so it is n
 /// The next thing that happened to the core.
 #[derive(Debug)]
 #[allow(clippy::large_enum_variant, reason = "one at a time, on the stack")]
-pub enum Next {
+pub enum NextCall {
     /// An entry, with its message where it names one.
     Entry(JournalEntry, Option<Event<RecordedPixels>>),
     /// The next entry or its message has not come yet.
@@ -57,9 +60,6 @@ impl Script {
     }
 
     /// Takes a message that may have reached fusion.
-    ///
-    /// # Errors
-    /// The recording has no journal.
     pub fn hear(&mut self, event: Event<RecordedPixels>, utc_ns: u64) -> anyhow::Result<()> {
         let begun_ns = *self.begun_ns.get_or_insert(utc_ns);
         ensure!(self.has_begun() || !is_over(PATIENCE, begun_ns, utc_ns), NO_JOURNAL);
@@ -120,26 +120,26 @@ impl Script {
     }
 
     /// The next entry, as far as it is known at `utc_ns` of the recording; `None`: at its end.
-    pub fn next(&mut self, utc_ns: Option<u64>) -> Next {
+    pub fn next(&mut self, utc_ns: Option<u64>) -> NextCall {
         let Some((noted_ns, entry)) = self.entries.front().copied() else {
-            return self.end.clone().map_or(Next::Wait, Next::End);
+            return self.end.clone().map_or(NextCall::Wait, NextCall::End);
         };
         let event = match names_message(&entry) {
             false => None,
             true => match self.heard_of(&entry) {
                 Some(event) => Some(event),
                 None if utc_ns.is_some_and(|utc_ns| !is_over(PATIENCE, noted_ns, utc_ns)) => {
-                    return Next::Wait;
+                    return NextCall::Wait;
                 }
                 None => {
                     let said =
                         format!("{}, which fusion heard, is not in the recording", said(&entry));
-                    return Next::End(said);
+                    return NextCall::End(said);
                 }
             },
         };
         self.entries.pop_front();
-        Next::Entry(entry, event)
+        NextCall::Entry(entry, event)
     }
 
     fn heard_of(&mut self, entry: &JournalEntry) -> Option<Event<RecordedPixels>> {

@@ -8,7 +8,7 @@ use crate::flights::{Recording, flown, flown_on, resolved};
 use flockeye_contract::{FrameStamp, JournalHeader, MAX_JOURNAL_ENTRIES};
 
 fn tried(recording: Recording) -> anyhow::Result<ReplayReport> {
-    let mut replay = Replay::new(&resolved()).unwrap();
+    let mut replay = FusionReplay::new(&resolved()).unwrap();
     for (message, utc_ns) in recording {
         replay.on(message, utc_ns, |_, _| {})?;
     }
@@ -25,7 +25,7 @@ fn with_entries(recording: Recording, change: impl FnOnce(&mut Vec<JournalEntry>
     let mut others = Recording::new();
     for (message, utc_ns) in recording {
         match message {
-            Message::Journal(_, some) => entries.extend(some),
+            FlightMessage::Journal(_, some) => entries.extend(some),
             other => others.push((other, utc_ns)),
         }
     }
@@ -34,7 +34,7 @@ fn with_entries(recording: Recording, change: impl FnOnce(&mut Vec<JournalEntry>
     let mut first = 0;
     for some in entries.chunks(MAX_JOURNAL_ENTRIES) {
         let header = JournalHeader { first, ..JournalHeader::default() };
-        others.push((Message::Journal(header, some.to_vec()), last_ns));
+        others.push((FlightMessage::Journal(header, some.to_vec()), last_ns));
         first += some.len() as u64;
     }
     others
@@ -45,19 +45,21 @@ fn place_of(entries: &[JournalEntry], kind: JournalKind, sequence: u64) -> usize
     entries.iter().position(is_it).unwrap()
 }
 
-fn is_journal(message: &Message) -> bool {
-    matches!(message, Message::Journal(..))
+fn is_journal(message: &FlightMessage) -> bool {
+    matches!(message, FlightMessage::Journal(..))
 }
 
 #[test]
 fn a_flight_is_repeated_from_its_journal() {
     let recording = flown_on();
-    let said = recording
-        .iter()
-        .filter(|(message, _)| matches!(message, Message::Tracks(..) | Message::Plan(..)));
+    let said = recording.iter().filter(|(message, _)| {
+        matches!(message, FlightMessage::Tracks(..) | FlightMessage::Plan(..))
+    });
     let messages = said.count() as u64;
     let measured = recording.iter().filter_map(|(message, _)| match message {
-        Message::Tracks(_, tracks, _) => Some(tracks.iter().filter(|track| track.measured_by != 0)),
+        FlightMessage::Tracks(_, tracks, _) => {
+            Some(tracks.iter().filter(|track| track.measured_by != 0))
+        }
         _ => None,
     });
     assert!(measured.flatten().count() >= 5, "alpha is followed");
@@ -122,13 +124,15 @@ fn a_gap_in_the_journal_ends_the_comparison() {
     let mut recording = flown();
     let end = |recording: &Recording| {
         recording.iter().position(
-            |(message, _)| matches!(message, Message::FrameEnd(end) if end.stamp.sequence == 3),
+            |(message, _)| matches!(message, FlightMessage::FrameEnd(end) if end.stamp.sequence == 3),
         )
     };
     let after = end(&recording).unwrap();
     let gap =
         after + recording[after..].iter().position(|(message, _)| is_journal(message)).unwrap();
-    let (Message::Journal(_, entries), _) = recording.remove(gap) else { panic!("a journal") };
+    let (FlightMessage::Journal(_, entries), _) = recording.remove(gap) else {
+        panic!("a journal")
+    };
     let replayed = tried(recording).unwrap();
     let missing = entries.len();
     let wanted = format!("{missing} entries of fusion's journal are not in the recording");
@@ -147,7 +151,7 @@ fn a_gap_in_the_journal_ends_the_comparison() {
 fn plans_that_were_not_recorded_are_left_out() {
     let mut recording = flown();
     recording.retain(|(message, _)| {
-        !matches!(message, Message::Plan(plan, ..) if [2, 3].contains(&plan.plan_id))
+        !matches!(message, FlightMessage::Plan(plan, ..) if [2, 3].contains(&plan.plan_id))
     });
     let whole = tried(flown()).unwrap();
     let messages = whole.messages - 2;
@@ -156,7 +160,7 @@ fn plans_that_were_not_recorded_are_left_out() {
 
 #[test]
 fn a_message_that_is_missing_is_named() {
-    let without = |is_it: &dyn Fn(&Message) -> bool| {
+    let without = |is_it: &dyn Fn(&FlightMessage) -> bool| {
         let mut recording = flown();
         recording.retain(|(message, _)| !is_it(message));
         let replayed = tried(recording).unwrap();
@@ -164,16 +168,17 @@ fn a_message_that_is_missing_is_named() {
         (replayed.end.unwrap(), replayed.frames)
     };
     let of = |stamp: &FrameStamp| stamp.sequence == 4;
-    let view = without(&|message| matches!(message, Message::View(view, _) if of(&view.stamp)));
+    let view =
+        without(&|message| matches!(message, FlightMessage::View(view, _) if of(&view.stamp)));
     let wanted = "view 0 of frame 4, which fusion heard, is not in the recording";
     assert_eq!(view, (wanted.to_owned(), 4));
     let record = without(
-        &|message| matches!(message, Message::Searched(record) if of(&record.header.stamp)),
+        &|message| matches!(message, FlightMessage::Searched(record) if of(&record.header.stamp)),
     );
     assert!(record.0.starts_with("the record of view 0 of frame 4 by worker 0"), "{}", record.0);
-    let end = without(&|message| matches!(message, Message::FrameEnd(end) if of(&end.stamp)));
+    let end = without(&|message| matches!(message, FlightMessage::FrameEnd(end) if of(&end.stamp)));
     assert!(end.0.starts_with("the end of frame 4, which"), "{}", end.0);
-    let turn = without(&|message| matches!(message, Message::Rotation(_)));
+    let turn = without(&|message| matches!(message, FlightMessage::Rotation(_)));
     assert!(turn.0.starts_with("the rotation of frame 3, which"), "{}", turn.0);
 }
 
@@ -182,9 +187,9 @@ fn a_message_that_is_missing_is_named() {
 fn a_missing_message_is_not_waited_for_for_ever() {
     let mut recording = flown();
     recording.retain(
-        |(message, _)| !matches!(message, Message::View(view, _) if view.stamp.sequence == 4),
+        |(message, _)| !matches!(message, FlightMessage::View(view, _) if view.stamp.sequence == 4),
     );
-    let mut replay = Replay::new(&resolved()).unwrap();
+    let mut replay = FusionReplay::new(&resolved()).unwrap();
     let last_ns = recording.last().unwrap().1;
     for (message, utc_ns) in recording {
         replay.on(message, utc_ns, |_, _| {}).unwrap();
@@ -192,7 +197,9 @@ fn a_missing_message_is_not_waited_for_for_ever() {
     assert!(replay.is_under_way(), "it may still come");
     let later = region_end(99, 0, 0);
     for seconds in 1..=6 {
-        replay.on(Message::FrameEnd(later), last_ns + seconds * 1_000_000_000, |_, _| {}).unwrap();
+        replay
+            .on(FlightMessage::FrameEnd(later), last_ns + seconds * 1_000_000_000, |_, _| {})
+            .unwrap();
     }
     assert!(!replay.is_under_way());
 }
@@ -203,8 +210,8 @@ fn what_is_no_journal_from_the_beginning_on_is_refused() {
     none.retain(|(message, _)| !is_journal(message));
     assert!(refused(none.clone()).contains("has no journal of fusion"));
     // It is not read to its end first.
-    let mut replay = Replay::new(&resolved()).unwrap();
-    let end = |utc_ns| (Message::FrameEnd(region_end(0, 0, 0)), utc_ns);
+    let mut replay = FusionReplay::new(&resolved()).unwrap();
+    let end = |utc_ns| (FlightMessage::FrameEnd(region_end(0, 0, 0)), utc_ns);
     let mut ends = [end(0), end(6_000_000_000)].into_iter();
     let refusal = ends.find_map(|(message, utc_ns)| replay.on(message, utc_ns, |_, _| {}).err());
     assert!(refusal.unwrap().to_string().contains("has no journal"));
@@ -212,7 +219,7 @@ fn what_is_no_journal_from_the_beginning_on_is_refused() {
     let with_header = |change: &dyn Fn(&mut JournalHeader)| {
         let mut recording = flown();
         for (message, _) in &mut recording {
-            if let Message::Journal(header, _) = message {
+            if let FlightMessage::Journal(header, _) = message {
                 change(header);
             }
         }
@@ -229,7 +236,7 @@ fn what_is_no_journal_from_the_beginning_on_is_refused() {
     let mut replaced = flown();
     let header = JournalHeader { generation: 1, ..JournalHeader::default() };
     let (_, utc_ns) = replaced[replaced.len() - 1];
-    replaced.push((Message::Journal(header, vec![JournalEntry::default()]), utc_ns));
+    replaced.push((FlightMessage::Journal(header, vec![JournalEntry::default()]), utc_ns));
     let replayed = tried(replaced).unwrap();
     assert_eq!((replayed.difference, replayed.frames), (None, 5));
     assert!(replayed.end.unwrap().starts_with("fusion was replaced"));
@@ -239,8 +246,8 @@ fn what_is_no_journal_from_the_beginning_on_is_refused() {
 fn views_without_pixels_are_refused() {
     let mut blind = flown();
     for (message, _) in &mut blind {
-        if let Message::View(header, _) = message {
-            *message = Message::Header(*header);
+        if let FlightMessage::View(header, _) = message {
+            *message = FlightMessage::Header(*header);
         }
     }
     assert!(refused(blind).contains("a view without its pixels"));

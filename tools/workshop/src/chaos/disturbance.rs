@@ -8,12 +8,12 @@ use rustix::process::{Pid, Signal, kill_process};
 use serde::Serialize;
 
 use crate::dice::Dice;
-use flockeye_launcher::control::Worker;
+use flockeye_launcher::control::WorkerName;
 
 /// A kind of disturbance.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, ValueEnum, Serialize)]
 #[serde(rename_all = "snake_case")]
-pub(crate) enum Kind {
+pub(crate) enum DisturbanceKind {
     /// SIGKILL.
     Kill,
     /// SIGSTOP, and SIGCONT up to two seconds later.
@@ -24,22 +24,15 @@ pub(crate) enum Kind {
     Swap,
 }
 
-/// A process that can be disturbed.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) struct Victim {
-    /// Which worker.
-    pub worker: Worker,
-    /// Its process.
-    pub pid: i32,
-}
-
 /// One disturbance.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Disturbance {
     /// What is done.
-    pub kind: Kind,
-    /// The process to which it is done.
-    pub victim: Victim,
+    pub kind: DisturbanceKind,
+    /// The worker to which it is done.
+    pub worker: WorkerName,
+    /// The number of its process.
+    pub pid: i32,
     /// How long it lasts.
     pub lasts: Duration,
 }
@@ -56,18 +49,18 @@ impl Disturbance {
         &self,
         mut wait: impl FnMut(Duration) -> anyhow::Result<()>,
     ) -> anyhow::Result<()> {
-        let pid = Pid::from_raw(self.victim.pid).context("no process has number 0")?;
+        let pid = Pid::from_raw(self.pid).context("no process has number 0")?;
         let send = |signal| kill_process(pid, signal).context("the process has ended");
         match self.kind {
-            Kind::Kill => send(Signal::KILL),
-            Kind::Stop => {
+            DisturbanceKind::Kill => send(Signal::KILL),
+            DisturbanceKind::Stop => {
                 send(Signal::STOP)?;
                 wait(self.lasts)?;
                 // By now it may have been replaced.
                 drop(send(Signal::CONT));
                 Ok(())
             }
-            Kind::Slow => {
+            DisturbanceKind::Slow => {
                 let turns = self.lasts.as_millis() / (2 * SLOW_TURN.as_millis());
                 for _ in 0..turns {
                     send(Signal::STOP)?;
@@ -77,23 +70,33 @@ impl Disturbance {
                 }
                 Ok(())
             }
-            Kind::Swap => Ok(()),
+            DisturbanceKind::Swap => Ok(()),
         }
     }
 }
 
 impl Dice {
-    /// The next disturbance of one of `victims`; of any kind if `only` is empty.
-    pub(crate) fn throw(&mut self, victims: &[Victim], only: &[Kind]) -> Option<Disturbance> {
-        let all = [Kind::Kill, Kind::Stop, Kind::Slow, Kind::Swap];
+    /// The next disturbance of one of `victims`, each with the number of its process. It is of any
+    /// kind if `only` is empty.
+    pub(crate) fn throw(
+        &mut self,
+        victims: &[(WorkerName, i32)],
+        only: &[DisturbanceKind],
+    ) -> Option<Disturbance> {
+        let all = [
+            DisturbanceKind::Kill,
+            DisturbanceKind::Stop,
+            DisturbanceKind::Slow,
+            DisturbanceKind::Swap,
+        ];
         let kind = self.choose(if only.is_empty() { &all } else { only })?;
-        let victim = self.choose(victims)?;
+        let (worker, pid) = self.choose(victims)?;
         let lasts = match kind {
-            Kind::Stop => Duration::from_millis(100 + self.number() % 1900),
-            Kind::Slow => Duration::from_secs(1),
-            Kind::Kill | Kind::Swap => Duration::ZERO,
+            DisturbanceKind::Stop => Duration::from_millis(100 + self.number() % 1900),
+            DisturbanceKind::Slow => Duration::from_secs(1),
+            DisturbanceKind::Kill | DisturbanceKind::Swap => Duration::ZERO,
         };
-        Some(Disturbance { kind, victim, lasts })
+        Some(Disturbance { kind, worker, pid, lasts })
     }
 }
 
@@ -104,8 +107,7 @@ mod tests {
 
     #[test]
     fn a_seed_says_what_is_done_to_whom() {
-        let victims =
-            ["fusion", "detection.1"].map(|name| Victim { worker: name.parse().unwrap(), pid: 7 });
+        let victims = ["fusion", "detection.1"].map(|name| (name.parse().unwrap(), 7));
         let thrown = |seed| {
             let mut dice = Dice::new(seed);
             (0..20).map(|_| dice.throw(&victims, &[]).unwrap()).collect::<Vec<_>>()
@@ -113,7 +115,8 @@ mod tests {
         assert_eq!(thrown(3), thrown(3));
         assert_ne!(thrown(3), thrown(4));
         let mut dice = Dice::new(1);
-        assert!((0..20).all(|_| dice.throw(&victims, &[Kind::Kill]).unwrap().kind == Kind::Kill));
+        assert!((0..20).all(|_| dice.throw(&victims, &[DisturbanceKind::Kill]).unwrap().kind
+            == DisturbanceKind::Kill));
         assert_eq!(dice.throw(&[], &[]), None);
     }
 }

@@ -11,7 +11,7 @@ use flockeye_runtime::instance::Instance;
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use serde::Serialize;
 
-use super::disturbance::{Disturbance, Kind};
+use super::disturbance::{Disturbance, DisturbanceKind};
 
 /// From a SIGKILL to a pose measured in a frame exposed after it: at most this in the median ...
 pub(crate) const MEDIAN_RECOVERY_MS: f64 = 250.0;
@@ -26,8 +26,8 @@ const TRUTH_FRAMES: usize = 256;
 
 /// What became of one disturbance.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-struct Outcome {
-    kind: Kind,
+struct DisturbanceOutcome {
+    kind: DisturbanceKind,
     worker: String,
     struck_ns: i64,
     /// Until a neighbour was measured in a later frame, milliseconds.
@@ -39,7 +39,7 @@ struct Outcome {
 /// How a pipeline took its disturbances.
 #[derive(Debug, Clone, Default, Serialize)]
 pub(crate) struct ChaosReport {
-    outcomes: Vec<Outcome>,
+    outcomes: Vec<DisturbanceOutcome>,
     /// Frames that ended.
     frames: u64,
     /// Frames between those that did not.
@@ -88,9 +88,9 @@ impl ChaosReport {
 
     /// A disturbance begins.
     pub(crate) fn strike(&mut self, disturbance: &Disturbance, now_ns: i64) {
-        self.outcomes.push(Outcome {
+        self.outcomes.push(DisturbanceOutcome {
             kind: disturbance.kind,
-            worker: disturbance.victim.worker.to_string(),
+            worker: disturbance.worker.to_string(),
             struck_ns: now_ns,
             recovery_ms: None,
             failure: None,
@@ -185,7 +185,7 @@ impl ChaosReport {
 
     /// Recoveries in milliseconds, rising, of the disturbances that `is_meant`; lost ones are
     /// infinite.
-    fn recoveries(&self, is_meant: impl Fn(&Outcome) -> bool) -> Vec<f64> {
+    fn recoveries(&self, is_meant: impl Fn(&DisturbanceOutcome) -> bool) -> Vec<f64> {
         let meant = self.outcomes.iter().filter(|outcome| is_meant(outcome));
         let mut rising: Vec<f64> =
             meant.map(|outcome| outcome.recovery_ms.unwrap_or(f64::INFINITY)).collect();
@@ -196,14 +196,14 @@ impl ChaosReport {
     /// What is worse than it may be.
     pub(crate) fn broken_limits(&self) -> Vec<String> {
         let mut broken = Vec::new();
-        let kills = self.recoveries(|outcome| outcome.kind == Kind::Kill);
+        let kills = self.recoveries(|outcome| outcome.kind == DisturbanceKind::Kill);
         if let Some(ms) = median(&kills).filter(|&ms| ms > MEDIAN_RECOVERY_MS) {
             broken.push(format!(
                 "after SIGKILL the next pose took {ms:.0} ms in the median, {MEDIAN_RECOVERY_MS} may be"
             ));
         }
         // A swap ends when the stage is swapped; what it costs is seen in the frames.
-        let all = self.recoveries(|outcome| outcome.kind != Kind::Swap);
+        let all = self.recoveries(|outcome| outcome.kind != DisturbanceKind::Swap);
         if let Some(&ms) = all.last().filter(|&&ms| ms > WORST_RECOVERY_MS) {
             broken.push(format!(
                 "the next pose took {ms:.0} ms in the worst case, {WORST_RECOVERY_MS} may be"
@@ -235,13 +235,19 @@ impl fmt::Display for ChaosReport {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let titles = ["worker", "what", "times", "failed", "median ms", "95 % ms", "worst ms"];
         let mut table = TextTable::new(2, &titles);
-        let mut groups: Vec<(Kind, &str)> =
+        let mut groups: Vec<(DisturbanceKind, &str)> =
             self.outcomes.iter().map(|outcome| (outcome.kind, outcome.worker.as_str())).collect();
         groups.sort_unstable();
         groups.dedup();
-        let every = [Kind::Kill, Kind::Stop, Kind::Slow, Kind::Swap].map(|kind| (kind, "all"));
+        let every = [
+            DisturbanceKind::Kill,
+            DisturbanceKind::Stop,
+            DisturbanceKind::Slow,
+            DisturbanceKind::Swap,
+        ]
+        .map(|kind| (kind, "all"));
         for (kind, worker) in groups.into_iter().chain(every) {
-            let is_meant = |outcome: &Outcome| {
+            let is_meant = |outcome: &DisturbanceOutcome| {
                 outcome.kind == kind && (worker == "all" || outcome.worker == worker)
             };
             let recoveries = self.recoveries(is_meant);
@@ -284,12 +290,12 @@ impl fmt::Display for ChaosReport {
     }
 }
 
-fn name(kind: Kind) -> &'static str {
+fn name(kind: DisturbanceKind) -> &'static str {
     match kind {
-        Kind::Kill => "kill",
-        Kind::Stop => "stop",
-        Kind::Slow => "slow",
-        Kind::Swap => "swap",
+        DisturbanceKind::Kill => "kill",
+        DisturbanceKind::Stop => "stop",
+        DisturbanceKind::Slow => "slow",
+        DisturbanceKind::Swap => "swap",
     }
 }
 
@@ -304,7 +310,6 @@ fn shared_memory(instance: &Instance) -> (usize, u64) {
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
-    use crate::chaos::disturbance::Victim;
     use std::time::Duration;
 
     const MS: i64 = 1_000_000;
@@ -325,8 +330,8 @@ mod tests {
     }
 
     fn kill() -> Disturbance {
-        let victim = Victim { worker: "fusion".parse().unwrap(), pid: 7 };
-        Disturbance { kind: Kind::Kill, victim, lasts: Duration::ZERO }
+        let worker = "fusion".parse().unwrap();
+        Disturbance { kind: DisturbanceKind::Kill, worker, pid: 7, lasts: Duration::ZERO }
     }
 
     #[test]

@@ -1,6 +1,5 @@
 //! An instance in which a candidate runs alone.
 
-use std::rc::Rc;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, sync_channel};
@@ -17,8 +16,8 @@ use flockeye_runtime::memory::{Budget, shared_memory_space};
 use flockeye_runtime::ports::{Ports, Subscriber, TopicServices, create_all_services};
 use iceoryx2::prelude::*;
 
-use super::report::{MUST_PASS, OWES, Report};
-use flockeye_launcher::control::Worker;
+use super::report::{ConformanceReport, OWES};
+use flockeye_launcher::control::WorkerName;
 use flockeye_launcher::process::{LogLine, Process, ProcessChange, STOP_TIME};
 
 /// How often the test looks for messages.
@@ -40,6 +39,8 @@ pub(crate) type HeaderAndItems<T> = (<T as Topic>::Header, Vec<<T as Topic>::Ite
 pub(crate) struct Bench {
     /// Ports of the test.
     pub ports: Ports,
+    /// What was checked so far.
+    pub report: ConformanceReport,
     healths: Subscriber<Healths>,
     process: Process,
     log: Receiver<LogLine>,
@@ -73,13 +74,7 @@ impl Bench {
         let (free, total) = shared_memory_space().context("cannot look at /dev/shm")?;
         budget.check(free, total)?;
         instance.write_configuration(resolved)?;
-        let node = NodeBuilder::new()
-            .name(&NodeName::new("stage-test").context("node name")?)
-            .signal_handling_mode(SignalHandlingMode::Disabled)
-            .config(&instance.iceoryx2()?)
-            .create::<ipc::Service>()
-            .map_err(|error| anyhow::anyhow!("cannot create the instance: {error:?}"))?;
-        let node = Rc::new(node);
+        let node = instance.create_node("stage-test", "cannot create the instance")?;
         let services = create_all_services(&node, &budget)?;
         let mut ports = Ports::new(node, budget, SharedCounters::default());
         let healths = ports.subscriber()?;
@@ -89,9 +84,10 @@ impl Bench {
             process.command = command.to_vec();
         }
         let (sender, log) = sync_channel(1000);
-        let worker = Worker { stage, replica: 0 };
+        let worker = WorkerName { stage, replica: 0 };
         Ok(Self {
             ports,
+            report: ConformanceReport::default(),
             healths,
             process: Process::new(worker, &process, instance.folder(), sender, false)?,
             log,
@@ -109,10 +105,7 @@ impl Bench {
 
     /// Starts the candidate, and waits until it is ready. False: it never was, and there is nothing
     /// to test.
-    ///
-    /// # Errors
-    /// It cannot be started.
-    pub(crate) fn start(&mut self, report: &mut Report) -> anyhow::Result<bool> {
+    pub(crate) fn start(&mut self) -> anyhow::Result<bool> {
         self.process.start()?;
         let begun = Instant::now();
         let mut has_started = false;
@@ -122,7 +115,7 @@ impl Bench {
             Ok((state == Some(StageState::Ready.code())).then_some(()))
         })?;
         let limit_s = self.start_limit.as_secs_f64();
-        report.check(
+        self.report.check(
             "is ready in time",
             OWES,
             match (&ready, &self.ended) {
@@ -136,7 +129,7 @@ impl Bench {
         if ready.is_none() {
             return Ok(false);
         }
-        report.figure("ready after", begun.elapsed().as_secs_f64(), "s");
+        self.report.figure("ready after", begun.elapsed().as_secs_f64(), "s");
         if let Some(health) = self.newest {
             let worker = self.process.worker;
             for (field, found, wanted) in [
@@ -144,7 +137,7 @@ impl Bench {
                 ("replica", health.replica.to_string(), worker.replica.to_string()),
                 ("generation", health.generation.to_string(), "0".to_owned()),
             ] {
-                report.field("health says who it is", OWES, field, found, wanted);
+                self.report.field("health says who it is", OWES, field, found, wanted);
             }
         }
         self.longest_silence = Duration::ZERO;
@@ -152,9 +145,6 @@ impl Bench {
     }
 
     /// Calls `step` until it gives something, within `limit`; meanwhile health is read.
-    ///
-    /// # Errors
-    /// As `step`, or a port that fails.
     pub(crate) fn wait<R>(
         &mut self,
         limit: Duration,
@@ -174,13 +164,9 @@ impl Bench {
     }
 
     /// The next message, checked by the contract: what fails the check is noted under `what`.
-    ///
-    /// # Errors
-    /// A port that fails.
     pub(crate) fn next<T: Topic>(
         &mut self,
         messages: &mut Subscriber<T>,
-        report: &mut Report,
         what: &'static str,
         patience: Duration,
     ) -> anyhow::Result<Option<HeaderAndItems<T>>> {
@@ -191,7 +177,7 @@ impl Bench {
             Ok(Some((message.header, message.items().to_vec(), verdict)))
         })?;
         Ok(found.map(|(header, items, verdict)| {
-            report.check(what, MUST_PASS, verdict.err().map(|error| error.to_string()));
+            self.report.verdict(what, verdict);
             (header, items)
         }))
     }
@@ -202,18 +188,15 @@ impl Bench {
     }
 
     /// Lets this time pass.
-    ///
-    /// # Errors
-    /// A port that fails.
     pub(crate) fn pass(&mut self, time: Duration) -> anyhow::Result<()> {
         self.wait(time, |_| Ok(None::<()>)).map(drop)
     }
 
     /// Whether the candidate runs; otherwise that is noted.
-    pub(crate) fn runs(&self, report: &mut Report) -> bool {
+    pub(crate) fn runs(&mut self) -> bool {
         let wrong = self.ended.as_ref().map(|how| format!("it {how}"));
         let runs = wrong.is_none();
-        report.check("runs until it is told to stop", OWES, wrong);
+        self.report.check("runs until it is told to stop", OWES, wrong);
         runs
     }
 
@@ -261,16 +244,13 @@ impl Bench {
     }
 
     /// Tells the candidate to stop, and checks how it ends.
-    ///
-    /// # Errors
-    /// A port that fails.
-    pub(crate) fn stop(&mut self, report: &mut Report) -> anyhow::Result<()> {
-        if !self.runs(report) {
+    pub(crate) fn stop(&mut self) -> anyhow::Result<()> {
+        if !self.runs() {
             return Ok(());
         }
         self.note_silence_until(clock::monotonic_ns());
         let silence_s = self.longest_silence.as_secs_f64();
-        report.holds(
+        self.report.holds(
             "health comes every 250 ms",
             OWES,
             self.longest_silence < LONGEST_SILENCE,
@@ -280,7 +260,7 @@ impl Bench {
         let begun = Instant::now();
         self.wait(STOP_TIME, |bench| Ok(bench.ended.as_ref().map(|_| ())))?;
         let limit_s = STOP_TIME.as_secs_f64();
-        report.check(
+        self.report.check(
             "ends at SIGTERM",
             OWES,
             match &self.ended {
@@ -289,15 +269,15 @@ impl Bench {
                 Some(how) => Some(format!("it {how} after SIGTERM, and must end with status 0")),
             },
         );
-        report.figure("ended after", begun.elapsed().as_secs_f64(), "s");
+        self.report.figure("ended after", begun.elapsed().as_secs_f64(), "s");
         Ok(())
     }
 
-    /// Ends the instance, and gives what the candidate wrote.
-    pub(crate) fn finish(mut self) -> String {
+    /// Ends the instance. Gives what was checked, and what the candidate wrote.
+    pub(crate) fn finish(mut self) -> (ConformanceReport, String) {
         self.process.signal(rustix::process::Signal::KILL);
         // Its last lines are of no use any more.
         let _ = self.wait(Duration::from_secs(1), |bench| Ok(bench.ended.as_ref().map(|_| ())));
-        self.lines.join("\n")
+        (self.report, self.lines.join("\n"))
     }
 }

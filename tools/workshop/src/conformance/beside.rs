@@ -10,11 +10,11 @@ use flockeye_contract::StageName;
 use flockeye_runtime::instance::Instance;
 use serde_json::Value;
 
-use super::report::Report;
+use super::report::ConformanceReport;
 use crate::fleet::Fleet;
 use flockeye_launcher::can_shadow;
 use flockeye_launcher::control::client::ask;
-use flockeye_launcher::control::{Request, SwapRequest, Worker};
+use flockeye_launcher::control::{ControlRequest, SwapRequest, WorkerName};
 
 const PAGE: &str = "While a stage is swapped";
 
@@ -47,7 +47,7 @@ pub(crate) fn run(
     configuration: &Configuration,
     source: &str,
     program: &[String],
-    report: &mut Report,
+    report: &mut ConformanceReport,
 ) -> anyhow::Result<()> {
     let name = format!("t{}b", std::process::id());
     let fixed = [
@@ -61,8 +61,8 @@ pub(crate) fn run(
     // Mistakes are reported before anything starts.
     let configuration = configuration.clone().in_profile(Profile::Flight);
     configuration.load_with(&[], &fixed)?;
-    let request = Request::Swap(SwapRequest {
-        worker: Worker { stage, replica: 0 },
+    let request = ControlRequest::Swap(SwapRequest {
+        worker: WorkerName { stage, replica: 0 },
         set: Vec::new(),
         program: program.to_vec(),
         within_s: WITHIN_S,
@@ -75,33 +75,28 @@ pub(crate) fn run(
     let log = fleet.last_lines();
     fleet.end();
     match compared {
-        Comparison::Swapped(report_of_swap) => {
+        Ok(report_of_swap) => {
             report.check(TAKES_OVER, PAGE, None);
             note(&report_of_swap["shadow"], report);
         }
-        Comparison::Refused(reason) => {
+        Err(reason) => {
             report.check(TAKES_OVER, PAGE, Some(format!("{reason}\n{log}\n")));
         }
     }
     Ok(())
 }
 
-/// What came of the swap.
-enum Comparison {
-    Swapped(Value),
-    Refused(String),
-}
-
-/// Waits for frames, and lets the candidate take over.
+/// Waits for frames, and lets the candidate take over. Gives the report of the swap, or why it was
+/// refused.
 fn compare(
     fleet: &mut Fleet,
     instance: &Instance,
-    request: &Request,
-) -> anyhow::Result<Comparison> {
+    request: &ControlRequest,
+) -> anyhow::Result<Result<Value, String>> {
     let begun = Instant::now();
     let flies = || {
         instance.has_launcher()
-            && ask(instance, &Request::Status, |_| {})
+            && ask(instance, &ControlRequest::Status, |_| {})
                 .is_ok_and(|(_, status)| status["frames"].as_u64() > Some(0))
     };
     while !flies() {
@@ -115,16 +110,16 @@ fn compare(
         std::thread::sleep(Duration::from_millis(50));
     }
     match ask(instance, request, |_| {}) {
-        Ok((_, report)) => Ok(Comparison::Swapped(report)),
+        Ok((_, report)) => Ok(Ok(report)),
         Err(reason) => {
             fleet.check().context("it ended before both were compared. Cure: a longer flight")?;
-            Ok(Comparison::Refused(format!("{reason:#}")))
+            Ok(Err(format!("{reason:#}")))
         }
     }
 }
 
 /// The comparison in the shadow, as figures.
-fn note(compared: &Value, report: &mut Report) {
+fn note(compared: &Value, report: &mut ConformanceReport) {
     let figure = |name: &str| compared[name].as_f64().unwrap_or(f64::NAN);
     let share = |new: &str, old: &str| 100.0 * figure(new) / figure(old);
     report.figure("beside Flockeye's own: frames compared", figure("frames"), "");

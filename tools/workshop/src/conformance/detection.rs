@@ -17,7 +17,7 @@ use nalgebra::{Point2, UnitQuaternion, Vector3};
 
 use super::bench::Bench;
 use super::pictures::{self, ShownMarker};
-use super::report::Report;
+use super::report::ConformanceReport;
 
 const PAGE: &str = "Detection (view to detection)";
 
@@ -51,14 +51,7 @@ struct Script {
 }
 
 /// Tests the candidate.
-///
-/// # Errors
-/// A port that fails.
-pub(crate) fn run(
-    bench: &mut Bench,
-    resolved: &Resolved,
-    report: &mut Report,
-) -> anyhow::Result<()> {
+pub(crate) fn run(bench: &mut Bench, resolved: &Resolved) -> anyhow::Result<()> {
     let ids = resolved.bodies.iter().flat_map(|body| body.markers.iter().map(|marker| marker.id));
     let mut script = Script {
         views: bench.ports.publisher_of_lane(0)?,
@@ -68,13 +61,13 @@ pub(crate) fn run(
         sent: 0,
         unanswered: 0,
     };
-    script.pictures(bench, report)?;
+    script.pictures(bench)?;
     if script.unanswered == MOST_UNANSWERED {
         return Ok(());
     }
-    script.several_at_once(bench, report, resolved.pipeline.rectification.window)?;
-    script.askers(bench, report)?;
-    script.malformed(bench, report)?;
+    script.several_at_once(bench, resolved.pipeline.rectification.window)?;
+    script.askers(bench)?;
+    script.malformed(bench)?;
     bench.pass(Duration::from_millis(800))?;
     Ok(())
 }
@@ -116,36 +109,35 @@ impl Script {
     }
 
     /// The next record, checked by the contract.
-    fn answer(
-        &mut self,
-        bench: &mut Bench,
-        report: &mut Report,
-        patience: Duration,
-    ) -> anyhow::Result<Option<Record>> {
-        bench.next(&mut self.records, report, "records pass the contract's check", patience)
+    fn answer(&mut self, bench: &mut Bench, patience: Duration) -> anyhow::Result<Option<Record>> {
+        bench.next(&mut self.records, "records pass the contract's check", patience)
     }
 
     /// Sends a view and checks that it is answered, and as it must be.
     fn asked(
         &mut self,
         bench: &mut Bench,
-        report: &mut Report,
         view: ViewHeader,
         pixels: &[u8],
     ) -> anyhow::Result<Option<Record>> {
         self.send(view, pixels)?;
-        let record = self.answer(bench, report, PATIENCE)?;
-        report.holds("one record for each view", PAGE, record.is_some(), || {
+        let record = self.answer(bench, PATIENCE)?;
+        bench.report.holds("one record for each view", PAGE, record.is_some(), || {
             format!("view_index {} got none in {} s", view.view_index, PATIENCE.as_secs())
         });
         match &record {
-            Some(record) => self.check_record(report, &view, record),
+            Some(record) => self.check_record(&mut bench.report, &view, record),
             None => self.unanswered += 1,
         }
         Ok(record)
     }
 
-    fn check_record(&self, report: &mut Report, view: &ViewHeader, (record, markers): &Record) {
+    fn check_record(
+        &self,
+        report: &mut ConformanceReport,
+        view: &ViewHeader,
+        (record, markers): &Record,
+    ) {
         let mut copied = |field, found: u64, wanted: u64| {
             report.field("fields are copied from the view", PAGE, field, found, wanted);
         };
@@ -183,7 +175,7 @@ impl Script {
     }
 
     /// Views with a marker of 24 to 72 pixels, and without one.
-    fn pictures(&mut self, bench: &mut Bench, report: &mut Report) -> anyhow::Result<()> {
+    fn pictures(&mut self, bench: &mut Bench) -> anyhow::Result<()> {
         let ids: Vec<u32> = self.owned.iter().copied().collect();
         let (mut shown, mut found, mut errors_px, mut took_ms) = (0, 0, Vec::new(), Vec::new());
         let mut resident_mb = 0.0;
@@ -200,8 +192,8 @@ impl Script {
             let marker = ShownMarker::number(number, id, side_px, FOCAL_PX);
             let marker = (number % 10 != 9).then_some(marker);
             let pixels = pictures::view(&self.dictionary, marker.as_ref(), SIZE_PX, FOCAL_PX);
-            let Some((record, markers)) = self.asked(bench, report, view, &pixels)? else {
-                if !bench.runs(report) || self.unanswered == MOST_UNANSWERED {
+            let Some((record, markers)) = self.asked(bench, view, &pixels)? else {
+                if !bench.runs() || self.unanswered == MOST_UNANSWERED {
                     return Ok(());
                 }
                 continue;
@@ -214,7 +206,7 @@ impl Script {
                     found += u32::from(error_px.is_some());
                     errors_px.extend(error_px);
                 }
-                _ => report.holds(
+                _ => bench.report.holds(
                     "nothing is found where nothing is",
                     PAGE,
                     markers.is_empty() || view.search != 0,
@@ -224,8 +216,8 @@ impl Script {
             // The view is sent again.
             if number % 40 == 1 {
                 let again = ViewHeader { issued_ns: clock::monotonic_ns(), ..view };
-                if let Some((_, others)) = self.asked(bench, report, again, &pixels)? {
-                    report.holds(
+                if let Some((_, others)) = self.asked(bench, again, &pixels)? {
+                    bench.report.holds(
                         "a view's record depends on that view alone",
                         PAGE,
                         others == markers,
@@ -240,26 +232,25 @@ impl Script {
                 }
             }
         }
-        report.holds("markers are found", PAGE, found > 0, || {
+        bench.report.holds("markers are found", PAGE, found > 0, || {
             format!("none of {shown} markers of 24 to 72 px was decoded")
         });
-        report.figure("markers decoded", f64::from(found) / f64::from(shown.max(1)) * 100.0, "%");
-        report.median("corner error, median", errors_px, "px");
-        report.median("time for a view, median", took_ms, "ms");
+        bench.report.figure(
+            "markers decoded",
+            f64::from(found) / f64::from(shown.max(1)) * 100.0,
+            "%",
+        );
+        bench.report.median("corner error, median", errors_px, "px");
+        bench.report.median("time for a view, median", took_ms, "ms");
         let grown_mb = bench.resident_mb() - resident_mb;
-        report.holds("memory stays flat", PAGE, grown_mb < GROWTH_MB, || {
+        bench.report.holds("memory stays flat", PAGE, grown_mb < GROWTH_MB, || {
             format!("resident_bytes grew by {grown_mb:.0} MB over {} views", VIEWS * 2 / 3)
         });
         Ok(())
     }
 
     /// As many views as rectification keeps in flight.
-    fn several_at_once(
-        &mut self,
-        bench: &mut Bench,
-        report: &mut Report,
-        window: u32,
-    ) -> anyhow::Result<()> {
+    fn several_at_once(&mut self, bench: &mut Bench, window: u32) -> anyhow::Result<()> {
         for _ in 0..5 {
             let views: Vec<ViewHeader> = (0..window).map(|_| self.header()).collect();
             let pixels = pictures::view(&self.dictionary, None, SIZE_PX, FOCAL_PX);
@@ -267,13 +258,13 @@ impl Script {
                 self.send(*view, &pixels)?;
             }
             for view in &views {
-                let record = self.answer(bench, report, PATIENCE)?;
-                report.holds("one record for each view", PAGE, record.is_some(), || {
+                let record = self.answer(bench, PATIENCE)?;
+                bench.report.holds("one record for each view", PAGE, record.is_some(), || {
                     format!("of {window} views at once one got none")
                 });
                 if let Some((record, _)) = record {
                     let (found, wanted) = (record.stamp.sequence, view.stamp.sequence);
-                    report.field(
+                    bench.report.field(
                         "records come in the views' order",
                         PAGE,
                         "stamp.sequence",
@@ -287,19 +278,22 @@ impl Script {
     }
 
     /// Views for another worker.
-    fn askers(&mut self, bench: &mut Bench, report: &mut Report) -> anyhow::Result<()> {
+    fn askers(&mut self, bench: &mut Bench) -> anyhow::Result<()> {
         let others = ViewHeader { worker: 1, ..self.header() };
         let pixels = pictures::view(&self.dictionary, None, SIZE_PX, FOCAL_PX);
         self.send(others, &pixels)?;
-        let record = self.answer(bench, report, QUIET)?;
-        report.holds("views of another worker are left alone", PAGE, record.is_none(), || {
-            "a view whose worker is 1 was answered by worker 0".to_owned()
-        });
+        let record = self.answer(bench, QUIET)?;
+        bench.report.holds(
+            "views of another worker are left alone",
+            PAGE,
+            record.is_none(),
+            || "a view whose worker is 1 was answered by worker 0".to_owned(),
+        );
         Ok(())
     }
 
     /// What nobody should send costs nothing but itself.
-    fn malformed(&mut self, bench: &mut Bench, report: &mut Report) -> anyhow::Result<()> {
+    fn malformed(&mut self, bench: &mut Bench) -> anyhow::Result<()> {
         let id = self.owned.iter().next().copied().unwrap_or_default();
         let marker = ShownMarker::number(1, id, 60.0, FOCAL_PX);
         let pixels = pictures::view(&self.dictionary, Some(&marker), SIZE_PX, FOCAL_PX);
@@ -316,7 +310,7 @@ impl Script {
         ] {
             self.send(view, &pixels)?;
             // It may be acknowledged as failed, or not at all.
-            self.answer(bench, report, QUIET)?;
+            self.answer(bench, QUIET)?;
             let view = self.header();
             self.send(view, &pixels)?;
             let sequence = view.stamp.sequence;
@@ -327,13 +321,13 @@ impl Script {
                     .filter(|(message, _)| message.header.stamp.sequence == sequence)
                     .map(|_| ()))
             })?;
-            report.holds(
+            bench.report.holds(
                 "malformed views cost nothing else",
                 "What every stage owes",
                 is_answered.is_some(),
                 || format!("after a view with {what} the next one was not answered"),
             );
-            if !bench.runs(report) {
+            if !bench.runs() {
                 return Ok(());
             }
         }

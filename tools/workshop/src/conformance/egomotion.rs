@@ -13,7 +13,7 @@ use nalgebra::{UnitQuaternion, Vector3};
 
 use super::bench::Bench;
 use super::pictures;
-use super::report::{MUST_PASS, Report};
+use super::report::MUST_PASS;
 
 const PAGE: &str = "Egomotion (frame and imu to rotation)";
 
@@ -43,14 +43,7 @@ struct Script {
 }
 
 /// Tests the candidate.
-///
-/// # Errors
-/// A camera that is not equirectangular, or a port that fails.
-pub(crate) fn run(
-    bench: &mut Bench,
-    resolved: &Resolved,
-    report: &mut Report,
-) -> anyhow::Result<()> {
+pub(crate) fn run(bench: &mut Bench, resolved: &Resolved) -> anyhow::Result<()> {
     let mut script = Script {
         shape: pictures::frame_shape(resolved, Transfer::Srgb)?,
         frames: bench.ports.publisher()?,
@@ -59,9 +52,9 @@ pub(crate) fn run(
         // In the past, so that no frame is sent before it is exposed.
         exposure_ns: clock::monotonic_ns() - 2_000_000_000,
     };
-    script.turns(bench, report)?;
-    script.blank(bench, report)?;
-    script.malformed(bench, report)?;
+    script.turns(bench)?;
+    script.blank(bench)?;
+    script.malformed(bench)?;
     bench.pass(Duration::from_millis(800))?;
     Ok(())
 }
@@ -87,25 +80,30 @@ impl Script {
     fn asked(
         &mut self,
         bench: &mut Bench,
-        report: &mut Report,
         frame: &FrameHeader,
         pixels: &[u8],
     ) -> anyhow::Result<Option<Rotation>> {
         self.frames.send(*frame, pixels)?;
         let what = "rotations pass the contract's check";
-        let answer = bench.next(&mut self.rotations, report, what, PATIENCE)?;
+        let answer = bench.next(&mut self.rotations, what, PATIENCE)?;
         let number = frame.stamp.sequence;
-        report.holds("one rotation for each frame", PAGE, answer.is_some(), || {
+        bench.report.holds("one rotation for each frame", PAGE, answer.is_some(), || {
             format!("frame {number} got none in {} s", PATIENCE.as_secs())
         });
         let Some((rotation, _)) = answer else { return Ok(None) };
-        report.field("the stamp is the frame's", PAGE, "stamp", rotation.stamp, frame.stamp);
-        report.field("rotations say whose they are", PAGE, "generation", rotation.generation, 0);
+        bench.report.field("the stamp is the frame's", PAGE, "stamp", rotation.stamp, frame.stamp);
+        bench.report.field(
+            "rotations say whose they are",
+            PAGE,
+            "generation",
+            rotation.generation,
+            0,
+        );
         Ok(Some(rotation))
     }
 
     /// The textured world.
-    fn turns(&mut self, bench: &mut Bench, report: &mut Report) -> anyhow::Result<()> {
+    fn turns(&mut self, bench: &mut Bench) -> anyhow::Result<()> {
         let attitudes = attitudes();
         // Drawn before the first is sent, because frames come as fast as a camera's.
         let mut pictures = Vec::new();
@@ -118,17 +116,20 @@ impl Script {
         let (mut errors_deg, mut normalized, mut times_ms) = (Vec::new(), Vec::new(), Vec::new());
         for (pixels, world_from_camera) in pictures.iter().zip(attitudes) {
             let frame = self.frame();
-            let Some(rotation) = self.asked(bench, report, &frame, pixels)? else { return Ok(()) };
+            let Some(rotation) = self.asked(bench, &frame, pixels)? else { return Ok(()) };
             times_ms.push((clock::monotonic_ns() - frame.stamp.published_ns) as f64 * 1e-6);
             let turn = camera_turn(&rotation);
             let Some((before, was)) = before.replace((frame.stamp, world_from_camera)) else {
-                report.holds("nothing is known of the first frame", PAGE, turn.is_none(), || {
-                    format!("source is {}, and there is no frame before it", rotation.source)
-                });
+                bench.report.holds(
+                    "nothing is known of the first frame",
+                    PAGE,
+                    turn.is_none(),
+                    || format!("source is {}, and there is no frame before it", rotation.source),
+                );
                 continue;
             };
             let Some(turn) = turn else { continue };
-            report.field(
+            bench.report.field(
                 "rotations are since the frame before",
                 PAGE,
                 "earlier_exposure_ns",
@@ -138,7 +139,7 @@ impl Script {
             let later_from_earlier = world_from_camera.inverse() * was;
             let off = (turn.later_from_earlier * later_from_earlier.inverse()).scaled_axis();
             let off_deg = off.norm().to_degrees();
-            report.holds("rotations are right", PAGE, off_deg < FAR_OFF_DEG, || {
+            bench.report.holds("rotations are right", PAGE, off_deg < FAR_OFF_DEG, || {
                 format!(
                     "later_from_earlier of frame {} is {off_deg:.2} degrees off",
                     frame.stamp.sequence
@@ -151,38 +152,43 @@ impl Script {
             normalized.push(inverse.map_or(f64::INFINITY, |inverse| off.dot(&(inverse * off))));
         }
         let known = errors_deg.len() as f64 / f64::from(FRAMES - 1);
-        report.holds("rotations of a textured world are known", PAGE, known >= LEAST_KNOWN, || {
-            format!(
-                "source is 0 for {} of {} frames",
-                FRAMES - 1 - errors_deg.len() as u32,
-                FRAMES - 1
-            )
-        });
-        report.figure("rotations known", 100.0 * known, "%");
-        report.median("error, median", errors_deg, "degrees");
+        bench.report.holds(
+            "rotations of a textured world are known",
+            PAGE,
+            known >= LEAST_KNOWN,
+            || {
+                format!(
+                    "source is 0 for {} of {} frames",
+                    FRAMES - 1 - errors_deg.len() as u32,
+                    FRAMES - 1
+                )
+            },
+        );
+        bench.report.figure("rotations known", 100.0 * known, "%");
+        bench.report.median("error, median", errors_deg, "degrees");
         let what = "squared error against the covariance, median";
-        let typical = report.median(what, normalized, "(2.4 is right)");
+        let typical = bench.report.median(what, normalized, "(2.4 is right)");
         // A missing rotation has been reported above.
-        report.holds("the covariance is honest", PAGE, typical.is_nan() || typical < MOST_NORMALIZED, || {
+        bench.report.holds("the covariance is honest", PAGE, typical.is_nan() || typical < MOST_NORMALIZED, || {
             format!(
                 "squared errors are {typical:.0} times the covariance in the median; 2.4 is right"
             )
         });
-        report.median("time for a frame, median", times_ms, "ms");
+        bench.report.median("time for a frame, median", times_ms, "ms");
         Ok(())
     }
 
     /// A picture in which nothing can be seen.
-    fn blank(&mut self, bench: &mut Bench, report: &mut Report) -> anyhow::Result<()> {
+    fn blank(&mut self, bench: &mut Bench) -> anyhow::Result<()> {
         for number in 0..BLANK {
             let frame = self.frame();
             let pixels = vec![16; (frame.stride * frame.height) as usize];
-            let Some(rotation) = self.asked(bench, report, &frame, &pixels)? else { return Ok(()) };
+            let Some(rotation) = self.asked(bench, &frame, &pixels)? else { return Ok(()) };
             // The picture before the first one covers a part of it.
             if number > 0 {
                 let source = rotation.source;
                 let is_known = source != RotationSource::Nothing.code();
-                report.holds("nothing is known of a blank picture", PAGE, !is_known, || {
+                bench.report.holds("nothing is known of a blank picture", PAGE, !is_known, || {
                     format!("source is {source} where every pixel is the same")
                 });
             }
@@ -191,7 +197,7 @@ impl Script {
     }
 
     /// Frames that nobody should send cost nothing but themselves.
-    fn malformed(&mut self, bench: &mut Bench, report: &mut Report) -> anyhow::Result<()> {
+    fn malformed(&mut self, bench: &mut Bench) -> anyhow::Result<()> {
         let good = self.frame();
         for bad in [
             FrameHeader { width: 0, ..self.frame() },
@@ -208,13 +214,13 @@ impl Script {
         self.frames.send(frame, &pixels)?;
         let what = "rotations pass the contract's check";
         let mut answered = false;
-        while let Some((rotation, _)) = bench.next(&mut self.rotations, report, what, PATIENCE)? {
+        while let Some((rotation, _)) = bench.next(&mut self.rotations, what, PATIENCE)? {
             answered = rotation.stamp == frame.stamp;
             if answered {
                 break;
             }
         }
-        report.holds("malformed frames cost nothing else", MUST_PASS, answered, || {
+        bench.report.holds("malformed frames cost nothing else", MUST_PASS, answered, || {
             format!("the good frame {} after them got no rotation", frame.stamp.sequence)
         });
         Ok(())

@@ -15,7 +15,6 @@ use flockeye_runtime::ports::{Publisher, Subscriber};
 use nalgebra::{Isometry3, Matrix6, Point3, Translation3, Unit, UnitQuaternion, Vector3};
 
 use super::bench::Bench;
-use super::report::{MUST_PASS, Report};
 
 const PAGE: &str = "Fusion (view, detection, frame_end, rotation to track, plan)";
 const TRACK_PAGE: &str = "Layout";
@@ -55,14 +54,7 @@ struct Script<'r> {
 }
 
 /// Tests the candidate.
-///
-/// # Errors
-/// A port that fails.
-pub(crate) fn run(
-    bench: &mut Bench,
-    resolved: &Resolved,
-    report: &mut Report,
-) -> anyhow::Result<()> {
+pub(crate) fn run(bench: &mut Bench, resolved: &Resolved) -> anyhow::Result<()> {
     let mut script = Script {
         resolved,
         views: bench.ports.publisher_of_lane(0)?,
@@ -74,26 +66,31 @@ pub(crate) fn run(
         sequence: 0,
         unanswered: 0,
     };
-    if script.first_plan(bench, report)? {
-        script.body_in_sight(bench, report)?;
-        script.body_out_of_sight(bench, report)?;
-        script.malformed(bench, report)?;
+    if script.first_plan(bench)? {
+        script.body_in_sight(bench)?;
+        script.body_out_of_sight(bench)?;
+        script.malformed(bench)?;
     }
     bench.pass(Duration::from_millis(800))?;
     Ok(())
 }
 
 impl Script<'_> {
-    fn first_plan(&mut self, bench: &mut Bench, report: &mut Report) -> anyhow::Result<bool> {
+    fn first_plan(&mut self, bench: &mut Bench) -> anyhow::Result<bool> {
         let plans = &mut self.plans;
         let plan = bench.wait(PATIENCE, |_| Ok(plans.receive_with_verdict()?))?;
-        report.holds("a first plan opens the flow", PAGE, plan.is_some(), || {
+        bench.report.holds("a first plan opens the flow", PAGE, plan.is_some(), || {
             "no plan came before the first frame".to_owned()
         });
         let Some((plan, verdict)) = plan else { return Ok(false) };
-        let wrong = verdict.err().map(|error| error.to_string());
-        report.check("plans pass the contract's check", MUST_PASS, wrong);
-        report.field("a first plan opens the flow", PAGE, "has_after", plan.header.has_after, 0);
+        bench.report.verdict("plans pass the contract's check", verdict);
+        bench.report.field(
+            "a first plan opens the flow",
+            PAGE,
+            "has_after",
+            plan.header.has_after,
+            0,
+        );
         self.plan_id = plan.header.plan_id;
         Ok(true)
     }
@@ -114,7 +111,6 @@ impl Script<'_> {
     fn fly(
         &mut self,
         bench: &mut Bench,
-        report: &mut Report,
         stamp: FrameStamp,
         markers: &[DetectedMarker],
     ) -> anyhow::Result<FrameAnswer> {
@@ -160,22 +156,26 @@ impl Script<'_> {
         let (tracks, plans) = (&mut self.tracks, &mut self.plans);
         let mut plan_id = self.plan_id;
         let patience = if self.unanswered < MOST_UNANSWERED { PATIENCE } else { INTERVAL };
-        let answered = bench.wait(patience, |_| {
+        let answered = bench.wait(patience, |bench| {
             while let Some((message, verdict)) = tracks.receive_with_verdict()? {
-                let wrong = verdict.err().map(|error| error.to_string());
-                report.check("tracks pass the contract's check", MUST_PASS, wrong);
+                bench.report.verdict("tracks pass the contract's check", verdict);
                 let TrackHeader { stamp: of, generation, is_last } = message.header;
                 if of.is_same_frame(&stamp) {
-                    report.field("tracks say whose they are", PAGE, "generation", generation, 0);
+                    bench.report.field(
+                        "tracks say whose they are",
+                        PAGE,
+                        "generation",
+                        generation,
+                        0,
+                    );
                     told.lasts += is_last;
                     told.tracks.extend_from_slice(message.items());
                 }
             }
             while let Some((message, verdict)) = plans.receive_with_verdict()? {
-                let wrong = verdict.err().map(|error| error.to_string());
-                report.check("plans pass the contract's check", MUST_PASS, wrong);
+                bench.report.verdict("plans pass the contract's check", verdict);
                 let plan = message.header;
-                report.holds("plan_id rises", PAGE, plan.plan_id > plan_id, || {
+                bench.report.holds("plan_id rises", PAGE, plan.plan_id > plan_id, || {
                     format!("plan_id is {} after {plan_id}", plan.plan_id)
                 });
                 plan_id = plan.plan_id;
@@ -187,7 +187,7 @@ impl Script<'_> {
         })?;
         self.unanswered += u32::from(answered.is_none());
         self.plan_id = plan_id;
-        report.holds(
+        bench.report.holds(
             "one track message with is_last for each frame",
             PAGE,
             told.lasts == 1,
@@ -200,14 +200,14 @@ impl Script<'_> {
                 )
             },
         );
-        report.holds("a plan follows each frame", PAGE, told.plan.is_some(), || {
+        bench.report.holds("a plan follows each frame", PAGE, told.plan.is_some(), || {
             format!("no plan came whose after is frame {}", stamp.sequence)
         });
         Ok(told)
     }
 
     /// A body that flies by.
-    fn body_in_sight(&mut self, bench: &mut Bench, report: &mut Report) -> anyhow::Result<()> {
+    fn body_in_sight(&mut self, bench: &mut Bench) -> anyhow::Result<()> {
         let Some(body) = self.resolved.bodies.iter().next() else { return Ok(()) };
         let (mut errors_mm, mut took_ms, mut measured, mut age_ns) =
             (Vec::new(), Vec::new(), 0, -1);
@@ -216,7 +216,7 @@ impl Script<'_> {
             let stamp = self.stamp();
             let pose = pose(number as f64 * INTERVAL.as_secs_f64());
             let begun_ns = clock::monotonic_ns();
-            let told = self.fly(bench, report, stamp, &markers(body, &pose, number))?;
+            let told = self.fly(bench, stamp, &markers(body, &pose, number))?;
             if told.lasts == 0 {
                 return Ok(());
             }
@@ -224,17 +224,26 @@ impl Script<'_> {
             let truth =
                 self.resolved.observer_from_camera * pose * body.target_from_markers.inverse();
             for track in told.tracks.iter().filter(|track| track.name.to_string() == body.name) {
-                report.field("tracks name their target", TRACK_PAGE, "target", track.target, 0);
+                bench.report.field(
+                    "tracks name their target",
+                    TRACK_PAGE,
+                    "target",
+                    track.target,
+                    0,
+                );
                 let covariance = Matrix6::from_row_slice(&track.covariance);
-                report.holds(
+                bench.report.holds(
                     "covariances are positive",
                     TRACK_PAGE,
                     covariance.cholesky().is_some(),
                     || format!("covariance of {} is {:?}", body.name, covariance.diagonal()),
                 );
-                report.holds("a track grows older", TRACK_PAGE, track.age_ns >= age_ns, || {
-                    format!("age_ns is {} after {age_ns}", track.age_ns)
-                });
+                bench.report.holds(
+                    "a track grows older",
+                    TRACK_PAGE,
+                    track.age_ns >= age_ns,
+                    || format!("age_ns is {} after {age_ns}", track.age_ns),
+                );
                 (age_ns, state) = (track.age_ns, Some(track.state));
                 if track.measured_by != MeasuredBy::Nothing.code() {
                     measured += 1;
@@ -244,34 +253,38 @@ impl Script<'_> {
             }
             bench.pass(INTERVAL)?;
         }
-        report.holds("a body in sight is measured", PAGE, measured > 0, || {
+        bench.report.holds("a body in sight is measured", PAGE, measured > 0, || {
             format!("{} was measured in none of {FRAMES} frames that show its markers", body.name)
         });
         let believed = [TrackState::Confirmed, TrackState::Measured].map(TrackState::code);
-        report.holds(
+        bench.report.holds(
             "a track is believed in time",
             TRACK_PAGE,
             state.is_some_and(|state| believed.contains(&state)),
             || format!("after {FRAMES} frames in sight the state is {state:?}"),
         );
-        report.figure(
+        bench.report.figure(
             "frames in which the body was measured",
             measured as f64 / FRAMES as f64 * 100.0,
             "%",
         );
-        report.median("position error of a measurement by markers alone, median", errors_mm, "mm");
-        report.median("time from a frame's end to the next plan, median", took_ms, "ms");
+        bench.report.median(
+            "position error of a measurement by markers alone, median",
+            errors_mm,
+            "mm",
+        );
+        bench.report.median("time from a frame's end to the next plan, median", took_ms, "ms");
         Ok(())
     }
 
     /// Nobody is seen any more: a track ends once.
-    fn body_out_of_sight(&mut self, bench: &mut Bench, report: &mut Report) -> anyhow::Result<()> {
+    fn body_out_of_sight(&mut self, bench: &mut Bench) -> anyhow::Result<()> {
         let frames =
             (self.resolved.pipeline.fusion.coast_s * 1.5 / INTERVAL.as_secs_f64()) as u64 + 5;
         let (mut lost, mut after) = (0, 0);
         for _ in 0..frames {
             let stamp = self.stamp();
-            let told = self.fly(bench, report, stamp, &[])?;
+            let told = self.fly(bench, stamp, &[])?;
             if told.lasts == 0 {
                 return Ok(());
             }
@@ -280,7 +293,7 @@ impl Script<'_> {
                 told.tracks.iter().filter(|track| track.state == TrackState::Lost.code()).count();
             bench.pass(INTERVAL)?;
         }
-        report.holds(
+        bench.report.holds(
             "a lost track says so at most once",
             TRACK_PAGE,
             lost <= 1 && after == 0,
@@ -290,7 +303,7 @@ impl Script<'_> {
     }
 
     /// What nobody should send costs nothing but itself.
-    fn malformed(&mut self, bench: &mut Bench, report: &mut Report) -> anyhow::Result<()> {
+    fn malformed(&mut self, bench: &mut Bench) -> anyhow::Result<()> {
         let stamp = self.stamp();
         let marker =
             DetectedMarker { rays_in_camera: [[2.0, 0.0, 0.0]; 4], ..DetectedMarker::default() };
@@ -328,7 +341,7 @@ impl Script<'_> {
             let message = tracks.receive_with_verdict()?.map(|(message, _)| message.header);
             Ok(message.filter(|header| header.is_last != 0 && header.stamp.is_same_frame(&stamp)))
         })?;
-        report.holds(
+        bench.report.holds(
             "a frame is given up after fusion.deadline_ms",
             PAGE,
             is_told.is_some(),
@@ -341,8 +354,8 @@ impl Script<'_> {
             },
         );
         let stamp = self.stamp();
-        let told = self.fly(bench, report, stamp, &[])?;
-        report.holds(
+        let told = self.fly(bench, stamp, &[])?;
+        bench.report.holds(
             "malformed records cost nothing else",
             "What every stage owes",
             told.lasts == 1,

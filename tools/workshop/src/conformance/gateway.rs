@@ -1,5 +1,6 @@
 //! A gateway alone: tracks go in, and a peer on the network receives reports.
 
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use anyhow::Context as _;
@@ -13,7 +14,7 @@ use flockeye_runtime::ports::Publisher;
 use nalgebra::UnitQuaternion;
 
 use super::bench::Bench;
-use super::report::{MUST_PASS, Report};
+use super::report::{ConformanceReport, MUST_PASS};
 
 const PAGE: &str = "Gateway (track to the network)";
 
@@ -31,20 +32,13 @@ const ROUNDED: f64 = 1e-5;
 struct Script<'r> {
     resolved: &'r Resolved,
     tracks: Publisher<Tracks>,
-    reports: ReportStream,
+    reports: Arc<ReportStream>,
     listener: Listener,
     sequence: u64,
 }
 
 /// Tests the candidate.
-///
-/// # Errors
-/// The network or a port fails.
-pub(crate) fn run(
-    bench: &mut Bench,
-    resolved: &Resolved,
-    report: &mut Report,
-) -> anyhow::Result<()> {
+pub(crate) fn run(bench: &mut Bench, resolved: &Resolved) -> anyhow::Result<()> {
     let parameters = NetworkParameters::of_onlooker(&resolved.pipeline);
     let listener = Network::open(&parameters).context("the test's own session")?.listener()?;
     let link = Duration::from_secs_f64(resolved.pipeline.supervision.start_s);
@@ -58,7 +52,7 @@ pub(crate) fn run(
             .is_some_and(|peer| peer.alive && peer.is_heard)
             .then_some(()))
     })?;
-    report.holds("says that it is alive", PAGE, is_alive.is_some(), || {
+    bench.report.holds("says that it is alive", PAGE, is_alive.is_some(), || {
         format!(
             "no liveliness token of '{observer}' at {} in {} s",
             parameters.connect.join(", "),
@@ -75,10 +69,12 @@ pub(crate) fn run(
         listener,
         sequence: 0,
     };
-    script.poses(bench, report)?;
-    script.kept_back(bench, report)?;
+    script.poses(bench)?;
+    script.kept_back(bench)?;
     let refused: u64 = script.refused();
-    report.holds("reports can be read", PAGE, refused == 0, || format!("{refused} were refused"));
+    bench
+        .report
+        .holds("reports can be read", PAGE, refused == 0, || format!("{refused} were refused"));
     Ok(())
 }
 
@@ -152,7 +148,7 @@ impl Script<'_> {
         })
     }
 
-    fn poses(&mut self, bench: &mut Bench, report: &mut Report) -> anyhow::Result<()> {
+    fn poses(&mut self, bench: &mut Bench) -> anyhow::Result<()> {
         let (mut delays_ms, begun) = (Vec::new(), Instant::now());
         for number in 0..POSES {
             let stamp = self.stamp();
@@ -160,24 +156,30 @@ impl Script<'_> {
             let sent_ns = clock::monotonic_ns();
             self.send(stamp, track)?;
             let heard = self.report_of(bench, &stamp, PATIENCE)?;
-            report.holds("each pose is reported", PAGE, heard.is_some(), || {
+            bench.report.holds("each pose is reported", PAGE, heard.is_some(), || {
                 format!("the pose of frame {} was not in {} s", stamp.sequence, PATIENCE.as_secs())
             });
             let Some((heard, arrived_ns)) = heard else { break };
             delays_ms.push((arrived_ns - sent_ns) as f64 * 1e-6);
-            self.compare(report, &stamp, &track, &heard);
+            self.compare(&mut bench.report, &stamp, &track, &heard);
             bench.pass(
                 (begun + PERIOD * (number as u32 + 1)).saturating_duration_since(Instant::now()),
             )?;
         }
         let slowest = delays_ms.iter().copied().fold(f64::NAN, f64::max);
-        report.median("from the track to a peer, median", delays_ms, "ms");
-        report.figure("the slowest", slowest, "ms");
+        bench.report.median("from the track to a peer, median", delays_ms, "ms");
+        bench.report.figure("the slowest", slowest, "ms");
         Ok(())
     }
 
     /// A report must agree with its track.
-    fn compare(&self, report: &mut Report, stamp: &FrameStamp, track: &Track, heard: &Sighting) {
+    fn compare(
+        &self,
+        report: &mut ConformanceReport,
+        stamp: &FrameStamp,
+        track: &Track,
+        heard: &Sighting,
+    ) {
         let what = "reports say what the track says";
         let observer = self.resolved.pipeline.observer.name.as_str();
         report.field(what, PAGE, "observer", heard.observer.as_str(), observer);
@@ -221,7 +223,7 @@ impl Script<'_> {
     }
 
     /// Tracks that must not be reported.
-    fn kept_back(&mut self, bench: &mut Bench, report: &mut Report) -> anyhow::Result<()> {
+    fn kept_back(&mut self, bench: &mut Bench) -> anyhow::Result<()> {
         let stamp = self.stamp();
         let good = self.track(&stamp);
         let nowhere = Pose { position: [f64::NAN; 3], ..good.observer_from_target };
@@ -243,16 +245,19 @@ impl Script<'_> {
         ] {
             self.send(stamp, bad)?;
             let heard = self.report_of(bench, &stamp, QUIET)?;
-            report.holds(what, page, heard.is_none(), || {
+            bench.report.holds(what, page, heard.is_none(), || {
                 format!("frame {} was reported", stamp.sequence)
             });
         }
         let stamp = self.stamp();
         self.send(stamp, self.track(&stamp))?;
         let heard = self.report_of(bench, &stamp, PATIENCE)?;
-        report.holds("what is kept back costs nothing else", MUST_PASS, heard.is_some(), || {
-            "the good pose after it was not reported".to_owned()
-        });
+        bench.report.holds(
+            "what is kept back costs nothing else",
+            MUST_PASS,
+            heard.is_some(),
+            || "the good pose after it was not reported".to_owned(),
+        );
         Ok(())
     }
 

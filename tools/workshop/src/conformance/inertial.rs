@@ -8,7 +8,6 @@ use flockeye_runtime::clock;
 use nalgebra::Vector3;
 
 use super::bench::Bench;
-use super::report::Report;
 
 const PAGE: &str = "Inertial sensor (to imu)";
 
@@ -20,14 +19,7 @@ const PATIENCE: Duration = Duration::from_secs(2);
 const NEAR_NS: i64 = 1_000_000_000;
 
 /// Tests the candidate.
-///
-/// # Errors
-/// A port that fails.
-pub(crate) fn run(
-    bench: &mut Bench,
-    resolved: &Resolved,
-    report: &mut Report,
-) -> anyhow::Result<()> {
+pub(crate) fn run(bench: &mut Bench, resolved: &Resolved) -> anyhow::Result<()> {
     let first = Duration::from_secs_f64(resolved.pipeline.supervision.start_s);
     let mut imus = bench.ports.subscriber::<Imus>()?;
     let (mut last, mut begun) = (None, None);
@@ -35,32 +27,37 @@ pub(crate) fn run(
     while forces.len() < SAMPLES {
         let patience = if last.is_none() { first } else { PATIENCE };
         let what = "messages pass the contract's check";
-        let Some((header, samples)) = bench.next(&mut imus, report, what, patience)? else { break };
+        let Some((header, samples)) = bench.next(&mut imus, what, patience)? else { break };
         begun.get_or_insert_with(Instant::now);
         let now_ns = clock::monotonic_ns();
-        report.field("messages say whose they are", PAGE, "generation", header.generation, 0);
+        bench.report.field("messages say whose they are", PAGE, "generation", header.generation, 0);
         for sample in samples {
             if let Some((epoch, at_ns)) = last.replace((header.epoch, sample.at_ns)) {
                 let rises = (header.epoch, sample.at_ns) > (epoch, at_ns);
-                report.holds("each sample comes once, in the order of time", PAGE, rises, || {
-                    format!(
-                        "at_ns {} of epoch {} came after {at_ns} of {epoch}",
-                        sample.at_ns, header.epoch
-                    )
-                });
+                bench.report.holds(
+                    "each sample comes once, in the order of time",
+                    PAGE,
+                    rises,
+                    || {
+                        format!(
+                            "at_ns {} of epoch {} came after {at_ns} of {epoch}",
+                            sample.at_ns, header.epoch
+                        )
+                    },
+                );
                 if epoch == header.epoch {
                     periods_ms.push((sample.at_ns - at_ns) as f64 * 1e-6);
                 }
             }
             let is_near = (now_ns - sample.at_ns).abs() < NEAR_NS;
-            report.holds("times are of CLOCK_MONOTONIC", PAGE, is_near, || {
+            bench.report.holds("times are of CLOCK_MONOTONIC", PAGE, is_near, || {
                 format!("at_ns is {} where the clock says {now_ns}", sample.at_ns)
             });
             delays_ms.push((now_ns - sample.at_ns) as f64 * 1e-6);
             forces.push(Vector3::from(sample.specific_force).norm());
         }
     }
-    report.holds("samples come", PAGE, forces.len() >= SAMPLES, || {
+    bench.report.holds("samples come", PAGE, forces.len() >= SAMPLES, || {
         format!(
             "{} came, then none in {} s. Does the sensor send?",
             forces.len(),
@@ -69,9 +66,9 @@ pub(crate) fn run(
     });
     let seconds = begun.map_or(f64::NAN, |begun| begun.elapsed().as_secs_f64());
     let longest_ms = periods_ms.into_iter().fold(f64::NAN, f64::max);
-    report.figure("samples", forces.len() as f64 / seconds, "per second");
-    report.figure("longest gap", longest_ms, "ms");
-    report.median("from the sample to here, median", delays_ms, "ms");
-    report.median("specific force, median", forces, "m/s^2 (9.8 at rest)");
+    bench.report.figure("samples", forces.len() as f64 / seconds, "per second");
+    bench.report.figure("longest gap", longest_ms, "ms");
+    bench.report.median("from the sample to here, median", delays_ms, "ms");
+    bench.report.median("specific force, median", forces, "m/s^2 (9.8 at rest)");
     Ok(())
 }

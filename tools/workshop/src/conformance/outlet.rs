@@ -1,5 +1,5 @@
-//! A stage that hands tracks to something outside the swarm: ROS 2 or the autopilot. Nobody is at the other end here,
-//! so the test looks at what the stage counts.
+//! A stage that hands tracks to something outside the swarm: ROS 2 or the autopilot. Nobody is at
+//! the other end here, so the test looks at what the stage counts.
 
 use std::time::Duration;
 
@@ -9,7 +9,7 @@ use flockeye_contract::{FrameStamp, MeasuredBy, Pose, Track, TrackHeader, TrackS
 use flockeye_runtime::clock;
 
 use super::bench::Bench;
-use super::report::{MUST_PASS, OWES, Report};
+use super::report::{MUST_PASS, OWES};
 
 /// Poses of the test.
 const POSES: u64 = 40;
@@ -19,14 +19,7 @@ const PERIOD: Duration = Duration::from_millis(33);
 const PATIENCE: Duration = Duration::from_secs(2);
 
 /// Tests it.
-///
-/// # Errors
-/// A port that fails.
-pub(super) fn run(
-    bench: &mut Bench,
-    _resolved: &Resolved,
-    report: &mut Report,
-) -> anyhow::Result<()> {
+pub(super) fn run(bench: &mut Bench, _resolved: &Resolved) -> anyhow::Result<()> {
     let tracks = bench.ports.publisher::<Tracks>()?;
     for sequence in 0..POSES {
         let now_ns = clock::monotonic_ns();
@@ -45,14 +38,17 @@ pub(super) fn run(
     let published = bench.wait(PATIENCE, |bench| {
         Ok(bench.published().filter(|published| *published >= POSES / 2))
     })?;
-    report.holds(
+    let counted = bench.published().unwrap_or(0);
+    bench.report.holds(
         "counts what it hands on, malformed messages between or not",
         MUST_PASS,
         published.is_some(),
-        || format!("of {POSES} poses it counts {} as published", bench.published().unwrap_or(0)),
+        || format!("of {POSES} poses it counts {counted} as published"),
     );
-    let runs = bench.runs(report);
-    report.holds("flies on with nobody at the other end", OWES, runs, || "it has ended".to_owned());
+    let runs = bench.runs();
+    bench
+        .report
+        .holds("flies on with nobody at the other end", OWES, runs, || "it has ended".to_owned());
     Ok(())
 }
 

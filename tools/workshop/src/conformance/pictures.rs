@@ -19,7 +19,6 @@ const BACKGROUND: f64 = 120.0;
 /// A marker in front of a view.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct ShownMarker {
-    /// Its id.
     pub id: u32,
     /// From the printed pattern's middle (x right, y down, z into the paper) to the view's frame.
     pub view_from_print: Isometry3<f64>,

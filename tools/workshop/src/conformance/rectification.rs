@@ -17,7 +17,7 @@ use nalgebra::{UnitQuaternion, Vector3};
 
 use super::bench::Bench;
 use super::pictures;
-use super::report::{MUST_PASS, Report};
+use super::report::ConformanceReport;
 
 mod malformed;
 
@@ -39,7 +39,7 @@ const TURN_ERROR_RAD: f64 = 1e-6;
 const RATE: [f64; 3] = [0.2, -0.4, 0.9];
 
 /// A view as it came.
-struct Cut {
+struct LaneView {
     header: ViewHeader,
     lane: usize,
     error_levels: f64,
@@ -47,8 +47,8 @@ struct Cut {
 
 /// What a frame led to.
 #[derive(Default)]
-struct Told {
-    views: Vec<Cut>,
+struct FrameCuts {
+    views: Vec<LaneView>,
     end: Option<FrameEnd>,
 }
 
@@ -68,14 +68,7 @@ struct Script<'r> {
 }
 
 /// Tests the candidate.
-///
-/// # Errors
-/// A camera that is not equirectangular, or a port that fails.
-pub(crate) fn run(
-    bench: &mut Bench,
-    resolved: &Resolved,
-    report: &mut Report,
-) -> anyhow::Result<()> {
+pub(crate) fn run(bench: &mut Bench, resolved: &Resolved) -> anyhow::Result<()> {
     let mut script = Script {
         resolved,
         shape: pictures::frame_shape(resolved, Transfer::Linear)?,
@@ -90,11 +83,11 @@ pub(crate) fn run(
         unanswered: 0,
     };
     script.picture = pictures::sphere(&script.shape);
-    script.sweep(bench, report)?;
-    script.planned(bench, report)?;
-    script.first_hit(bench, report)?;
-    script.silent_worker(bench, report)?;
-    script.malformed(bench, report)?;
+    script.sweep(bench)?;
+    script.planned(bench)?;
+    script.first_hit(bench)?;
+    script.silent_worker(bench)?;
+    script.malformed(bench)?;
     bench.pass(Duration::from_millis(800))?;
     Ok(())
 }
@@ -150,27 +143,25 @@ impl Script<'_> {
     fn fly(
         &mut self,
         bench: &mut Bench,
-        report: &mut Report,
         mut answer: impl FnMut(&ViewHeader) -> Option<u32>,
-    ) -> anyhow::Result<(FrameHeader, Told)> {
+    ) -> anyhow::Result<(FrameHeader, FrameCuts)> {
         let frame = self.frame();
         self.frames.send(frame, &self.picture)?;
-        let mut told = Told::default();
+        let mut told = FrameCuts::default();
         let mut open = 0;
         let (views, ends, records) = (&mut self.views, &mut self.ends, &self.records);
         let patience = if self.unanswered < MOST_UNANSWERED { PATIENCE } else { TAKEN_UP };
-        let ended = bench.wait(patience, |_| {
+        let ended = bench.wait(patience, |bench| {
             for (lane, views) in views.iter_mut().enumerate() {
                 while let Some((message, verdict)) = views.receive_with_verdict()? {
                     let is_whole = verdict.is_ok();
-                    let wrong = verdict.err().map(|error| error.to_string());
-                    report.check("views pass the contract's check", MUST_PASS, wrong);
+                    bench.report.verdict("views pass the contract's check", verdict);
                     if !is_whole || !message.header.stamp.is_same_frame(&frame.stamp) {
                         continue;
                     }
                     let header = message.header;
                     let error_levels = error_levels(&header, message.items());
-                    told.views.push(Cut { header, lane, error_levels });
+                    told.views.push(LaneView { header, lane, error_levels });
                     match answer(&header) {
                         Some(hits) => records.send(answer_to(&header, hits), &markers(hits))?,
                         None => open += 1,
@@ -179,11 +170,10 @@ impl Script<'_> {
             }
             while let Some((message, verdict)) = ends.receive_with_verdict()? {
                 let is_whole = verdict.is_ok();
-                let wrong = verdict.err().map(|error| error.to_string());
-                report.check("frame ends pass the contract's check", MUST_PASS, wrong);
+                bench.report.verdict("frame ends pass the contract's check", verdict);
                 if is_whole && message.header.stamp.is_same_frame(&frame.stamp) {
                     let is_second = told.end.replace(message.header).is_some();
-                    report.holds("one frame_end for each frame", PAGE, !is_second, || {
+                    bench.report.holds("one frame_end for each frame", PAGE, !is_second, || {
                         format!("frame {} ended twice", frame.stamp.sequence)
                     });
                 }
@@ -193,15 +183,15 @@ impl Script<'_> {
             Ok(issued.is_some_and(|issued| answered >= issued).then_some(()))
         })?;
         self.unanswered += u32::from(ended.is_none());
-        report.holds("one frame_end for each frame", PAGE, told.end.is_some(), || {
+        bench.report.holds("one frame_end for each frame", PAGE, told.end.is_some(), || {
             format!("frame {} got none in {} ms", frame.stamp.sequence, patience.as_millis())
         });
-        self.check_views(report, &frame, &told);
+        self.check_views(&mut bench.report, &frame, &told);
         Ok((frame, told))
     }
 
-    fn check_views(&self, report: &mut Report, frame: &FrameHeader, told: &Told) {
-        for Cut { header, lane, error_levels } in &told.views {
+    fn check_views(&self, report: &mut ConformanceReport, frame: &FrameHeader, told: &FrameCuts) {
+        for LaneView { header, lane, error_levels } in &told.views {
             report.field(
                 "views lie in their worker's lane",
                 PAGE,
@@ -264,10 +254,10 @@ impl Script<'_> {
     }
 
     /// Without a plan it sweeps.
-    fn sweep(&mut self, bench: &mut Bench, report: &mut Report) -> anyhow::Result<()> {
-        let (_, told) = self.fly(bench, report, |_| Some(0))?;
+    fn sweep(&mut self, bench: &mut Bench) -> anyhow::Result<()> {
+        let (_, told) = self.fly(bench, |_| Some(0))?;
         for cut in &told.views {
-            report.field(
+            bench.report.field(
                 "without a plan it sweeps by plan_id 0",
                 PAGE,
                 "plan_id",
@@ -275,37 +265,40 @@ impl Script<'_> {
                 0,
             );
         }
-        report.holds("without a plan it sweeps by plan_id 0", PAGE, !told.views.is_empty(), || {
-            "no view was cut".to_owned()
-        });
+        bench.report.holds(
+            "without a plan it sweeps by plan_id 0",
+            PAGE,
+            !told.views.is_empty(),
+            || "no view was cut".to_owned(),
+        );
         Ok(())
     }
 
     /// A plan is followed, and its views turn with the camera.
-    fn planned(&mut self, bench: &mut Bench, report: &mut Report) -> anyhow::Result<()> {
+    fn planned(&mut self, bench: &mut Bench) -> anyhow::Result<()> {
         let mut took_ms = Vec::new();
         for _ in 0..10 {
             let planned = self.plan(4, StopRule::All)?;
-            let (frame, told) = self.fly(bench, report, |_| Some(0))?;
-            if !bench.runs(report) {
+            let (frame, told) = self.fly(bench, |_| Some(0))?;
+            if !bench.runs() {
                 return Ok(());
             }
             let Some(end) = told.end else { return Ok(()) };
-            report.field(
+            bench.report.field(
                 "a plan is followed to its end",
                 PAGE,
                 "views_issued",
                 end.views_issued,
                 4,
             );
-            report.field(
+            bench.report.field(
                 "a plan is followed to its end",
                 PAGE,
                 "reason",
                 end.reason,
                 StopReason::Complete.code(),
             );
-            report.field(
+            bench.report.field(
                 "a plan is followed to its end",
                 PAGE,
                 "plan_id",
@@ -323,14 +316,20 @@ impl Script<'_> {
                     ("search", header.search, planned.search),
                     ("size_px", header.size_px, planned.size_px),
                 ] {
-                    report.field("fields are copied from the plan", PAGE, field, found, wanted);
+                    bench.report.field(
+                        "fields are copied from the plan",
+                        PAGE,
+                        field,
+                        found,
+                        wanted,
+                    );
                 }
                 let since_s =
                     frame.stamp.exposure_ns.saturating_sub(planned.reference_ns) as f64 * 1e-9;
                 let turn = UnitQuaternion::from_scaled_axis(Vector3::from(RATE) * since_s);
                 let wanted = turn * rotation(planned.camera_from_view);
                 let off_rad = wanted.angle_to(&rotation(header.camera_from_view));
-                report.holds(
+                bench.report.holds(
                     "views are turned to the exposure",
                     PAGE,
                     off_rad < TURN_ERROR_RAD,
@@ -344,19 +343,19 @@ impl Script<'_> {
                 );
             }
         }
-        report.median("time for a frame of 4 views, median", took_ms, "ms");
+        bench.report.median("time for a frame of 4 views, median", took_ms, "ms");
         Ok(())
     }
 
     /// The search stops at a hit.
-    fn first_hit(&mut self, bench: &mut Bench, report: &mut Report) -> anyhow::Result<()> {
+    fn first_hit(&mut self, bench: &mut Bench) -> anyhow::Result<()> {
         let window = self.resolved.pipeline.rectification.window;
         let in_flight = window * self.resolved.pipeline.detection_workers();
         let count = in_flight as usize + 6;
         self.plan(count, StopRule::FirstHit)?;
-        let (_, told) = self.fly(bench, report, |_| Some(1))?;
+        let (_, told) = self.fly(bench, |_| Some(1))?;
         if let Some(end) = told.end {
-            report.field(
+            bench.report.field(
                 "first_hit stops at a hit",
                 PAGE,
                 "reason",
@@ -364,10 +363,10 @@ impl Script<'_> {
                 StopReason::Hit.code(),
             );
             let (issued, abandoned) = (end.views_issued, end.views_abandoned);
-            report.holds("first_hit stops at a hit", PAGE, (issued as usize) < count, || {
+            bench.report.holds("first_hit stops at a hit", PAGE, (issued as usize) < count, || {
                 format!("views_issued is {issued} although the first view had a hit")
             });
-            report.field(
+            bench.report.field(
                 "views_abandoned counts the rest",
                 PAGE,
                 "views_abandoned",
@@ -379,12 +378,12 @@ impl Script<'_> {
     }
 
     /// A worker that does not answer loses its views to another.
-    fn silent_worker(&mut self, bench: &mut Bench, report: &mut Report) -> anyhow::Result<()> {
+    fn silent_worker(&mut self, bench: &mut Bench) -> anyhow::Result<()> {
         if self.views.len() < 2 {
             return Ok(());
         }
         self.plan(2, StopRule::All)?;
-        let (_, told) = self.fly(bench, report, |view| (view.worker != 0).then_some(0))?;
+        let (_, told) = self.fly(bench, |view| (view.worker != 0).then_some(0))?;
         let of_silent = told.views.iter().filter(|cut| cut.header.worker == 0);
         for lost in of_silent {
             let (index, attempt) = (lost.header.view_index, lost.header.attempt);
@@ -393,7 +392,7 @@ impl Script<'_> {
                     && cut.header.worker != 0
                     && cut.header.attempt > attempt
             });
-            report.holds("a silent worker's views go to others", PAGE, again.is_some(), || {
+            bench.report.holds("a silent worker's views go to others", PAGE, again.is_some(), || {
                 format!("view_index {index} of worker 0 was never cut for another worker, with a higher attempt")
             });
         }

@@ -12,7 +12,7 @@ pub(super) const MUST_PASS: &str = "What a message must pass";
 
 /// The checks of a test, and the candidate's figures.
 #[derive(Debug, Default, Serialize)]
-pub(crate) struct Report {
+pub(crate) struct ConformanceReport {
     checks: Vec<Check>,
     figures: Vec<Figure>,
 }
@@ -37,7 +37,7 @@ struct Figure {
     unit: &'static str,
 }
 
-impl Report {
+impl ConformanceReport {
     /// Notes that something was checked: `wrong` says what is not as it must be. Only the first
     /// finding of each check is kept.
     pub(crate) fn check(&mut self, what: &'static str, page: &'static str, wrong: Option<String>) {
@@ -53,6 +53,15 @@ impl Report {
             check.times += 1;
             check.wrong.get_or_insert(wrong);
         }
+    }
+
+    /// Notes what the contract's check says of a message.
+    pub(crate) fn verdict<E: std::fmt::Display>(
+        &mut self,
+        what: &'static str,
+        verdict: Result<(), E>,
+    ) {
+        self.check(what, MUST_PASS, verdict.err().map(|error| error.to_string()));
     }
 
     /// Checks that something holds; `wrong` is asked what is wrong where it does not.
@@ -129,7 +138,7 @@ mod tests {
 
     #[test]
     fn a_check_that_fails_once_has_failed_and_shows_its_first_finding() {
-        let mut report = Report::default();
+        let mut report = ConformanceReport::default();
         for (found, wanted) in [(1, 1), (2, 1), (3, 1)] {
             report.field("copied fields", "Detection", "view_index", found, wanted);
         }

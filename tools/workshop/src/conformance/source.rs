@@ -8,7 +8,7 @@ use flockeye_runtime::clock;
 use flockeye_runtime::ports::{Publisher, Subscriber};
 
 use super::bench::Bench;
-use super::report::{MUST_PASS, Report};
+use super::report::MUST_PASS;
 
 const PAGE: &str = "A source (frame)";
 
@@ -34,19 +34,12 @@ struct Script<'r> {
 }
 
 /// Tests the candidate.
-///
-/// # Errors
-/// A port that fails.
-pub(crate) fn run(
-    bench: &mut Bench,
-    resolved: &Resolved,
-    report: &mut Report,
-) -> anyhow::Result<()> {
+pub(crate) fn run(bench: &mut Bench, resolved: &Resolved) -> anyhow::Result<()> {
     let first = Duration::from_secs_f64(resolved.pipeline.supervision.start_s);
     let mut script = Script { resolved, frames: bench.ports.subscriber()?, last: None, first };
     match resolved.pipeline.flow() {
-        Flow::Latest => script.at_its_own_rate(bench, report),
-        Flow::Lossless => script.on_credit(bench, report),
+        Flow::Latest => script.at_its_own_rate(bench),
+        Flow::Lossless => script.on_credit(bench),
     }
 }
 
@@ -55,50 +48,49 @@ impl Script<'_> {
     fn next(
         &mut self,
         bench: &mut Bench,
-        report: &mut Report,
         patience: Duration,
     ) -> anyhow::Result<Option<FrameHeader>> {
         let what = "frames pass the contract's check";
-        let frame = bench.next(&mut self.frames, report, what, patience)?;
+        let frame = bench.next(&mut self.frames, what, patience)?;
         let Some((frame, _pixels)) = frame else { return Ok(None) };
         let camera = &self.resolved.pipeline.camera;
         let size = "frames have the configured size";
-        report.field(size, PAGE, "width", frame.width, camera.width);
-        report.field(size, PAGE, "height", frame.height, camera.height);
+        bench.report.field(size, PAGE, "width", frame.width, camera.width);
+        bench.report.field(size, PAGE, "height", frame.height, camera.height);
         let stamp = frame.stamp;
         let generation = stamp.source_generation;
-        report.field("frames say whose they are", PAGE, "source_generation", generation, 0);
+        bench.report.field("frames say whose they are", PAGE, "source_generation", generation, 0);
         if let Some(last) = self.last.replace(stamp) {
             let rises = stamp.order() > last.order();
-            report.holds("frames are in order", PAGE, rises, || {
+            bench.report.holds("frames are in order", PAGE, rises, || {
                 format!(
                     "sequence {} of epoch {} came after {} of {}",
                     stamp.sequence, stamp.epoch, last.sequence, last.epoch
                 )
             });
             let is_later = stamp.exposure_ns > last.exposure_ns || stamp.epoch > last.epoch;
-            report.holds("exposures rise", PAGE, is_later, || {
+            bench.report.holds("exposures rise", PAGE, is_later, || {
                 format!("exposure_ns {} came after {}", stamp.exposure_ns, last.exposure_ns)
             });
         }
         Ok(Some(frame))
     }
 
-    fn at_its_own_rate(&mut self, bench: &mut Bench, report: &mut Report) -> anyhow::Result<()> {
-        let first = self.next(bench, report, self.first)?;
-        report.holds("frames come", PAGE, first.is_some(), || {
+    fn at_its_own_rate(&mut self, bench: &mut Bench) -> anyhow::Result<()> {
+        let first = self.next(bench, self.first)?;
+        bench.report.holds("frames come", PAGE, first.is_some(), || {
             format!("none came in {} s after it was ready", self.first.as_secs())
         });
         let Some(first) = first else { return Ok(()) };
         let (begun, mut delays_ms, mut count) = (Instant::now(), Vec::new(), 0);
         while count < FRAMES {
-            let Some(frame) = self.next(bench, report, PATIENCE)? else { break };
+            let Some(frame) = self.next(bench, PATIENCE)? else { break };
             let (now_ns, stamp) = (clock::monotonic_ns(), frame.stamp);
             let is_of_now = (now_ns - STALE_NS..=now_ns).contains(&stamp.published_ns);
-            report.holds("times are of CLOCK_MONOTONIC", PAGE, is_of_now, || {
+            bench.report.holds("times are of CLOCK_MONOTONIC", PAGE, is_of_now, || {
                 format!("published_ns is {} where the clock says {now_ns}", stamp.published_ns)
             });
-            report.holds(
+            bench.report.holds(
                 "a frame is exposed before it is published",
                 PAGE,
                 stamp.exposure_ns <= stamp.published_ns,
@@ -114,43 +106,51 @@ impl Script<'_> {
         }
         let seconds = begun.elapsed().as_secs_f64();
         let is_over = bench.is_finished();
-        report.holds("frames keep coming", PAGE, count == FRAMES || is_over, || {
+        bench.report.holds("frames keep coming", PAGE, count == FRAMES || is_over, || {
             format!(
                 "{count} came, then none in {} s, and its state is not finished",
                 PATIENCE.as_secs()
             )
         });
         let sent = self.last.map_or(0, |last| last.sequence.saturating_sub(first.stamp.sequence));
-        report.figure("frames", count as f64 / seconds, "per second");
-        report.figure("frames left out", sent.saturating_sub(count as u64) as f64, "");
-        report.median("from exposure to publication, median", delays_ms, "ms");
+        bench.report.figure("frames", count as f64 / seconds, "per second");
+        bench.report.figure("frames left out", sent.saturating_sub(count as u64) as f64, "");
+        bench.report.median("from exposure to publication, median", delays_ms, "ms");
         if is_over {
             return Ok(());
         }
         // Nobody reads: the source goes on, and what it sends afterwards is new.
         bench.pass(PAUSE)?;
         let mut newest = None;
-        while let Some(frame) = self.next(bench, report, Duration::from_millis(1))? {
+        while let Some(frame) = self.next(bench, Duration::from_millis(1))? {
             newest = Some(frame);
         }
         let newest = match newest {
             Some(frame) => Some(frame),
-            None => self.next(bench, report, PATIENCE)?,
+            None => self.next(bench, PATIENCE)?,
         };
         let age_ns = newest.map(|frame| clock::monotonic_ns() - frame.stamp.published_ns);
         let is_new = age_ns.is_some_and(|age_ns| age_ns < STALE_NS) || bench.is_finished();
-        report.holds("a reader that pauses holds nothing up", PAGE, is_new, || match age_ns {
-            Some(age_ns) => format!("the newest frame was published {} ms ago", age_ns / 1_000_000),
-            None => "no frame came afterwards".to_owned(),
-        });
+        bench.report.holds(
+            "a reader that pauses holds nothing up",
+            PAGE,
+            is_new,
+            || match age_ns {
+                Some(age_ns) => {
+                    format!("the newest frame was published {} ms ago", age_ns / 1_000_000)
+                }
+                None => "no frame came afterwards".to_owned(),
+            },
+        );
         Ok(())
     }
 
-    fn on_credit(&mut self, bench: &mut Bench, report: &mut Report) -> anyhow::Result<()> {
+    fn on_credit(&mut self, bench: &mut Bench) -> anyhow::Result<()> {
         let plans = bench.ports.publisher()?;
-        let early = self.next(bench, report, QUIET)?;
+        let early = self.next(bench, QUIET)?;
         let what = "each frame waits for its plan";
-        report
+        bench
+            .report
             .holds(what, PAGE, early.is_none(), || "a frame came before the first plan".to_owned());
         let mut plan_id = 0;
         let mut after = None;
@@ -159,16 +159,19 @@ impl Script<'_> {
             plan_id += 1;
             give_credit(&plans, plan_id, after)?;
             let patience = if number == 0 { self.first } else { PATIENCE };
-            let Some(frame) = self.next(bench, report, patience)? else {
-                report.holds("a plan is answered by a frame", PAGE, bench.is_finished(), || {
-                    format!("plan {plan_id} was answered by none in {} s", patience.as_secs())
-                });
+            let Some(frame) = self.next(bench, patience)? else {
+                bench.report.holds(
+                    "a plan is answered by a frame",
+                    PAGE,
+                    bench.is_finished(),
+                    || format!("plan {plan_id} was answered by none in {} s", patience.as_secs()),
+                );
                 return Ok(());
             };
-            report.holds("a plan is answered by a frame", PAGE, true, String::new);
+            bench.report.holds("a plan is answered by a frame", PAGE, true, String::new);
             let skips =
                 after.is_some_and(|last: FrameStamp| frame.stamp.sequence != last.sequence + 1);
-            report.holds("no frame is left out", PAGE, !skips, || {
+            bench.report.holds("no frame is left out", PAGE, !skips, || {
                 format!(
                     "sequence {} came after {:?}",
                     frame.stamp.sequence,
@@ -176,24 +179,35 @@ impl Script<'_> {
                 )
             });
             let (exposure_ns, stream_ns) = (frame.stamp.exposure_ns, frame.stamp.stream_ns);
-            report.field("exposures are stream time", PAGE, "exposure_ns", exposure_ns, stream_ns);
+            bench.report.field(
+                "exposures are stream time",
+                PAGE,
+                "exposure_ns",
+                exposure_ns,
+                stream_ns,
+            );
             after = Some(frame.stamp);
         }
-        report.figure("frames", CREDITS as f64 / begun.elapsed().as_secs_f64(), "per second");
-        let surplus = self.next(bench, report, QUIET)?;
-        report.holds(what, PAGE, surplus.is_none(), || "two frames came for one plan".to_owned());
+        bench.report.figure("frames", CREDITS as f64 / begun.elapsed().as_secs_f64(), "per second");
+        let surplus = self.next(bench, QUIET)?;
+        bench
+            .report
+            .holds(what, PAGE, surplus.is_none(), || "two frames came for one plan".to_owned());
         // A new fusion opens the flow anew.
         give_credit(&plans, 1, None)?;
-        let again = self.next(bench, report, PATIENCE)?;
-        report.holds("a plan without `after` opens the flow anew", PAGE, again.is_some(), || {
-            format!("no frame came in {} s", PATIENCE.as_secs())
-        });
-        report.check("malformed plans cost nothing else", MUST_PASS, None);
+        let again = self.next(bench, PATIENCE)?;
+        bench.report.holds(
+            "a plan without `after` opens the flow anew",
+            PAGE,
+            again.is_some(),
+            || format!("no frame came in {} s", PATIENCE.as_secs()),
+        );
+        bench.report.check("malformed plans cost nothing else", MUST_PASS, None);
         let bad = PlanHeader { stop_rule: 77, plan_id: 2, ..PlanHeader::default() };
         plans.send(bad, &[])?;
         give_credit(&plans, 3, self.last)?;
-        let next = self.next(bench, report, PATIENCE)?;
-        report.holds(
+        let next = self.next(bench, PATIENCE)?;
+        bench.report.holds(
             "malformed plans cost nothing else",
             MUST_PASS,
             next.is_some() || bench.is_finished(),

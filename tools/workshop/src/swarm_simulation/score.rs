@@ -37,18 +37,9 @@ pub(crate) struct Claim {
     pub alone: Option<UncertainPose>,
 }
 
-/// How long reports are under way between the drones' programs.
-#[derive(Debug, Default)]
-struct ReportWays {
-    /// When fusion sent a pose of each drone's newest frames first, and when others had it.
-    frames: BTreeMap<(String, u64), (Option<i64>, Vec<i64>)>,
-    /// Milliseconds.
-    took: Vec<f64>,
-}
-
 /// How far a claim is from the truth.
 #[derive(Debug, Clone, Copy, PartialEq)]
-struct PoseError {
+struct ClaimError {
     position_m: f64,
     rotation_rad: f64,
     /// Squared, in units of what was stated; 6 on average where that is right.
@@ -57,28 +48,25 @@ struct PoseError {
 
 type Pair = (String, String);
 
-/// When others believe that a drone's frames were exposed.
-#[derive(Debug, Default)]
-struct Clocks {
-    /// The exposures of each drone's newest frames.
-    exposures: BTreeMap<String, BTreeMap<u64, i64>>,
-    /// Error in milliseconds, and in units of the deviation that was given.
-    errors: Vec<[f64; 2]>,
-}
-
 /// Collects claims and truths.
 #[derive(Debug, Default)]
-pub(crate) struct Score {
+pub(crate) struct ClaimScore {
     truths: BTreeMap<Pair, VecDeque<(i64, Isometry3<f64>)>>,
     waiting: VecDeque<Claim>,
-    errors: BTreeMap<SwarmWay, Vec<PoseError>>,
+    errors: BTreeMap<SwarmWay, Vec<ClaimError>>,
     /// Errors of poses that are known mutually and alone: mutual, then alone.
-    both: [Vec<PoseError>; 2],
-    clocks: Clocks,
-    ways: ReportWays,
+    both: [Vec<ClaimError>; 2],
+    /// When each drone's newest frames were exposed.
+    exposures: BTreeMap<String, BTreeMap<u64, i64>>,
+    /// Errors of what others believe of that: milliseconds, and in units of the stated deviation.
+    clock_errors: Vec<[f64; 2]>,
+    /// When fusion sent a pose of each drone's newest frames first, and when others had it.
+    reports: BTreeMap<(String, u64), (Option<i64>, Vec<i64>)>,
+    /// How long reports were under way between the drones' programs, milliseconds.
+    took_ms: Vec<f64>,
 }
 
-impl Score {
+impl ClaimScore {
     /// Takes where `to` truly is in the frame of `from` at an exposure, CLOCK_MONOTONIC,
     /// nanoseconds.
     pub(crate) fn truth(&mut self, from: &str, to: &str, at_ns: i64, from_from_to: Isometry3<f64>) {
@@ -91,7 +79,7 @@ impl Score {
 
     /// Takes when a drone's frame was exposed, CLOCK_MONOTONIC, nanoseconds.
     pub(crate) fn exposed(&mut self, drone: &str, frame: u64, at_ns: i64) {
-        let exposures = self.clocks.exposures.entry(drone.to_owned()).or_default();
+        let exposures = self.exposures.entry(drone.to_owned()).or_default();
         exposures.insert(frame, at_ns);
         if exposures.len() > KEPT_TRUTHS {
             exposures.pop_first();
@@ -100,23 +88,23 @@ impl Score {
 
     /// Takes when another drone believes that a frame was exposed, and with which deviation.
     pub(crate) fn timed(&mut self, drone: &str, frame: u64, at_ns: i64, deviation_ns: i64) {
-        let exposures = self.clocks.exposures.get(drone);
+        let exposures = self.exposures.get(drone);
         if let Some(true_ns) = exposures.and_then(|exposures| exposures.get(&frame)) {
             let error_ns = (at_ns - true_ns).abs() as f64;
-            self.clocks.errors.push([error_ns * 1e-6, error_ns / deviation_ns.max(1) as f64]);
+            self.clock_errors.push([error_ns * 1e-6, error_ns / deviation_ns.max(1) as f64]);
         }
     }
 
     /// Takes when a drone's fusion sent a pose of a frame, CLOCK_MONOTONIC, nanoseconds.
     pub(crate) fn sent(&mut self, drone: &str, frame: u64, sent_ns: i64) {
-        self.ways.of(drone, frame).0.get_or_insert(sent_ns);
-        self.ways.settle(drone, frame);
+        self.report_of(drone, frame).0.get_or_insert(sent_ns);
+        self.settle_report(drone, frame);
     }
 
     /// Takes when another drone had it, CLOCK_MONOTONIC, nanoseconds.
     pub(crate) fn arrived(&mut self, drone: &str, frame: u64, arrived_ns: i64) {
-        self.ways.of(drone, frame).1.push(arrived_ns);
-        self.ways.settle(drone, frame);
+        self.report_of(drone, frame).1.push(arrived_ns);
+        self.settle_report(drone, frame);
     }
 
     /// Takes a claim, to be compared when the truth after it is there.
@@ -140,11 +128,11 @@ impl Score {
             let Some(truth) = truths.and_then(|truths| truth_at(truths, claim.at_ns)) else {
                 continue;
             };
-            let error = PoseError::of(&claim.pose, &truth);
+            let error = ClaimError::of(&claim.pose, &truth);
             self.errors.entry(claim.way).or_default().push(error);
             if let (SwarmWay::Mutual, Some(alone)) = (claim.way, &claim.alone) {
                 self.both[0].push(error);
-                self.both[1].push(PoseError::of(alone, &truth));
+                self.both[1].push(ClaimError::of(alone, &truth));
             }
         }
     }
@@ -152,44 +140,41 @@ impl Score {
     /// What came out.
     pub(crate) fn report(&self) -> SwarmReport {
         let ways = self.errors.iter();
-        let [mutual, alone] = self.both.each_ref().map(|errors| Figures::of(errors));
+        let [mutual, alone] = self.both.each_ref().map(|errors| PoseFigures::of(errors));
         SwarmReport {
             ways: ways
-                .filter_map(|(way, errors)| Some((way.name().to_owned(), Figures::of(errors)?)))
+                .filter_map(|(way, errors)| Some((way.name().to_owned(), PoseFigures::of(errors)?)))
                 .collect(),
             mutual: mutual.zip(alone).map(|(mutual, alone)| Gain { mutual, alone }),
-            clocks: self.clocks.figures(),
-            reports_ms: median_and_most(self.ways.took.iter().copied()),
+            clocks: self.clock_figures(),
+            reports_ms: median_and_most(self.took_ms.iter().copied()),
         }
     }
 }
 
-impl ReportWays {
-    fn of(&mut self, drone: &str, frame: u64) -> &mut (Option<i64>, Vec<i64>) {
-        if self.frames.len() > WAITING_CLAIMS {
-            self.frames.clear();
+impl ClaimScore {
+    fn report_of(&mut self, drone: &str, frame: u64) -> &mut (Option<i64>, Vec<i64>) {
+        if self.reports.len() > WAITING_CLAIMS {
+            self.reports.clear();
         }
-        self.frames.entry((drone.to_owned(), frame)).or_default()
+        self.reports.entry((drone.to_owned(), frame)).or_default()
     }
 
-    fn settle(&mut self, drone: &str, frame: u64) {
-        let (sent, arrivals) = self.of(drone, frame);
+    fn settle_report(&mut self, drone: &str, frame: u64) {
+        let (sent, arrivals) = self.report_of(drone, frame);
         if let Some(sent_ns) = *sent {
             let took: Vec<f64> =
                 arrivals.drain(..).map(|arrived_ns| (arrived_ns - sent_ns) as f64 * 1e-6).collect();
-            self.took.extend(took);
+            self.took_ms.extend(took);
         }
     }
-}
 
-impl Clocks {
-    fn figures(&self) -> Option<ClockFigures> {
-        let of = |k: usize| median_and_most(self.errors.iter().map(move |error| error[k]));
+    fn clock_figures(&self) -> Option<ClockFigures> {
+        let of = |k: usize| median_and_most(self.clock_errors.iter().map(move |error| error[k]));
         Some(ClockFigures { error_ms: of(0)?, deviations: of(1)? })
     }
 }
 
-/// Median and 95 %.
 fn median_and_most(values: impl Iterator<Item = f64>) -> Option<[f64; 2]> {
     let mut rising: Vec<f64> = values.collect();
     rising.sort_by(f64::total_cmp);
@@ -210,7 +195,7 @@ fn truth_at(truths: &VecDeque<(i64, Isometry3<f64>)>, at_ns: i64) -> Option<Isom
     (gap_ns <= LONGEST_GAP_NS).then(|| earlier.try_lerp_slerp(later, share, 1e-9)).flatten()
 }
 
-impl PoseError {
+impl ClaimError {
     fn of(claimed: &UncertainPose, truth: &Isometry3<f64>) -> Self {
         let error = claimed.difference(truth);
         let factor = claimed.covariance.cholesky();
@@ -222,9 +207,9 @@ impl PoseError {
     }
 }
 
-/// Figures of many poses.
+/// PoseFigures of many poses.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub(crate) struct Figures {
+pub(crate) struct PoseFigures {
     /// How many.
     pub poses: usize,
     /// Median and 95 % of the distance from the true position, millimetres.
@@ -237,8 +222,8 @@ pub(crate) struct Figures {
     pub share_within_95: f64,
 }
 
-impl Figures {
-    fn of(errors: &[PoseError]) -> Option<Self> {
+impl PoseFigures {
+    fn of(errors: &[ClaimError]) -> Option<Self> {
         let normalized: Vec<f64> = errors.iter().map(|error| error.normalized).collect();
         let most = chi_square_quantile(6.0, 0.95);
         let within = normalized.iter().filter(|value| **value <= most).count();
@@ -256,9 +241,9 @@ impl Figures {
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub(crate) struct Gain {
     /// By both drones' sightings.
-    pub mutual: Figures,
+    pub mutual: PoseFigures,
     /// By the observer's own alone.
-    pub alone: Figures,
+    pub alone: PoseFigures,
 }
 
 /// How well drones know when others' frames were exposed.
@@ -274,7 +259,7 @@ pub(crate) struct ClockFigures {
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub(crate) struct SwarmReport {
     /// By how the poses came about.
-    pub ways: BTreeMap<String, Figures>,
+    pub ways: BTreeMap<String, PoseFigures>,
     /// What is gained by looking from both sides.
     pub mutual: Option<Gain>,
     /// How well the drones know each other's clocks.
@@ -288,7 +273,7 @@ impl fmt::Display for SwarmReport {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         let titles = ["known", "poses", "mm", "95 %", "degrees", "95 %", "NEES", "within 95 %"];
         let mut table = TextTable::new(1, &titles);
-        let mut row = |name: &str, figures: &Figures| {
+        let mut row = |name: &str, figures: &PoseFigures| {
             let [position, most] = figures.position_mm;
             let [rotation, most_rotated] = figures.rotation_deg;
             table.row([
@@ -360,7 +345,7 @@ mod tests {
 
     #[test]
     fn a_claim_is_compared_with_the_truth_of_its_instant() {
-        let mut score = Score::default();
+        let mut score = ClaimScore::default();
         score.truth("a", "b", 0, at(1.0, -0.1));
         // Half way between: at 1.5 m, turned by nothing.
         let alone = Some(pose(1.498));
@@ -382,7 +367,7 @@ mod tests {
 
     #[test]
     fn what_the_truth_says_nothing_of_does_not_count() {
-        let mut score = Score::default();
+        let mut score = ClaimScore::default();
         score.truth("a", "b", 0, at(1.0, 0.0));
         score.truth("a", "b", 900 * MS, at(1.0, 0.0));
         for at_ns in [-5 * MS, 400 * MS] {
@@ -397,7 +382,7 @@ mod tests {
 
     #[test]
     fn what_others_take_for_an_exposure_is_compared_with_it() {
-        let mut score = Score::default();
+        let mut score = ClaimScore::default();
         score.exposed("a", 7, 100 * MS);
         score.timed("a", 7, 102 * MS, MS);
         score.timed("a", 8, 102 * MS, MS);
@@ -408,7 +393,7 @@ mod tests {
 
     #[test]
     fn a_report_is_under_way_from_the_first_word_of_its_frame_whoever_is_heard_first() {
-        let mut score = Score::default();
+        let mut score = ClaimScore::default();
         score.arrived("a", 7, 103 * MS);
         score.sent("a", 7, 102 * MS);
         score.sent("a", 7, 109 * MS);

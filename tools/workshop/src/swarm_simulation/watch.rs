@@ -67,9 +67,6 @@ pub(crate) enum SwarmEvent {
 
 /// Reads the pipeline of the drone `name` in a thread, as soon as it runs, until `stopping` is
 /// raised or nobody listens.
-///
-/// # Errors
-/// The system starts no thread.
 pub(crate) fn watch(
     instance: Instance,
     name: String,

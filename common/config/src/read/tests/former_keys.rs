@@ -1,6 +1,7 @@
 //! Keys and combinations of the release before.
 
 use super::*;
+use flockeye_geometry::filter;
 
 /// Every combination of the keys that `profile` replaced, with what it means today.
 #[test]
@@ -104,7 +105,7 @@ fn keys_that_are_constants_now_are_read_with_their_values_and_refused_with_other
 #[test]
 fn what_constants_a_former_key_names_is_what_the_code_has() {
     let costs = Costs::default();
-    let policy = flockeye_geometry::filter::TrackPolicy::default();
+    let policy = filter::TrackPolicy::default();
     let said: Vec<f64> = crate::former_keys::fixed_numbers().collect();
     let is = [
         costs.source_ms,
@@ -118,15 +119,19 @@ fn what_constants_a_former_key_names_is_what_the_code_has() {
         costs.background_pass_ms,
         resolved(&Pipeline::default()).roi_options.partitions_per_frame as f64,
         f64::from(policy.confirm_hits),
-        f64::from(policy.confirm_window),
-        policy.history_s,
-        policy.gate_probability,
-        f64::from(policy.restart_after_gated),
+        f64::from(filter::CONFIRM_WINDOW),
+        filter::HISTORY_S,
+        filter::GATE_PROBABILITY,
+        f64::from(filter::RESTART_AFTER_GATED),
         flockeye_geometry::partition::STORED_SEED as f64,
         0.8,
+        policy.motion.angular_acceleration,
+        // autopilot.max_age_ms and recording.split_mb, whose constants belong to other crates.
+        500.0,
+        1000.0,
     ];
     assert_eq!(said, is);
-    let weights = flockeye_geometry::partition::Weights::default().values();
+    let weights = flockeye_geometry::partition::Criterion::default().weights();
     assert_eq!(weights, [0.2, 0.02, 0.78]);
 }
 

@@ -11,28 +11,25 @@ fn a_neighbour_is_believed_coasts_and_is_lost() {
     let pose = Isometry3::translation(1.0, 0.0, 0.0);
     let mut life = life();
     assert_eq!((life.state(), life.unseen(frame(0), &still())), (None, None));
-    assert_eq!(life.measured(frame(0), &pose, &covariance(), &still()).unwrap(), Happened::Started);
+    assert_eq!(life.measured(frame(0), &found(pose), &still()).unwrap(), Happened::Started);
     assert_eq!(life.state(), Some(TrackState::Tentative));
     assert_eq!(life.unseen(frame(1), &still()), Some(TrackState::Tentative));
-    life.measured(frame(2), &pose, &covariance(), &still()).unwrap();
+    life.measured(frame(2), &found(pose), &still()).unwrap();
     assert_eq!(life.state(), Some(TrackState::Tentative));
-    let third = life.measured(frame(3), &pose, &covariance(), &still()).unwrap();
-    assert!(matches!(third, Happened::Updated(_)));
+    let third = life.measured(frame(3), &found(pose), &still()).unwrap();
+    assert!(matches!(third, Happened::Updated));
     assert_eq!(life.state(), Some(TrackState::Confirmed));
     for k in 4..13 {
         assert_eq!(life.unseen(frame(k), &still()), Some(TrackState::Coasting));
         assert!(life.predict(frame(k), &still()).is_some());
     }
-    life.measured(frame(13), &pose, &covariance(), &still()).unwrap();
+    life.measured(frame(13), &found(pose), &still()).unwrap();
     assert_eq!(life.state(), Some(TrackState::Confirmed));
     assert_eq!(life.unseen(frame(24), &still()), Some(TrackState::Lost));
     assert_eq!(life.unseen(frame(25), &still()), Some(TrackState::Lost));
     assert!(life.track().is_none() && life.predict(frame(25), &still()).is_none());
     assert_eq!((life.started_s(), life.last_seen_s()), (Some(frame(0)), Some(frame(13))));
-    assert_eq!(
-        life.measured(frame(26), &pose, &covariance(), &still()).unwrap(),
-        Happened::Started
-    );
+    assert_eq!(life.measured(frame(26), &found(pose), &still()).unwrap(), Happened::Started);
     assert_eq!((life.state(), life.started_s()), (Some(TrackState::Tentative), Some(frame(26))));
     life.forget();
     assert_eq!(life.state(), None);
@@ -41,8 +38,7 @@ fn a_neighbour_is_believed_coasts_and_is_lost() {
 #[test]
 fn a_single_sighting_is_soon_forgotten() {
     let mut life = life();
-    life.measured(frame(0), &Isometry3::translation(1.0, 0.0, 0.0), &covariance(), &still())
-        .unwrap();
+    life.measured(frame(0), &found(Isometry3::translation(1.0, 0.0, 0.0)), &still()).unwrap();
     let states: Vec<_> = (1..6).map(|k| life.unseen(frame(k), &still()).unwrap()).collect();
     assert_eq!(states[..4], [TrackState::Tentative; 4]);
     assert_eq!(states[4], TrackState::Lost);
@@ -54,27 +50,21 @@ fn a_wrong_track_begins_anew_from_what_contradicts_it() {
         (Isometry3::translation(1.0, 0.0, 0.0), Isometry3::translation(-9.0, 0.0, 0.0));
     let mut life = life();
     for k in 0..5 {
-        life.measured(frame(k), &pose, &covariance(), &still()).unwrap();
+        life.measured(frame(k), &found(pose), &still()).unwrap();
     }
     for k in 5..7 {
-        assert!(life.fits(frame(k), &pose, &covariance(), &still()));
-        assert!(!life.fits(frame(k), &other, &covariance(), &still()));
-        let happened = life.measured(frame(k), &other, &covariance(), &still()).unwrap();
-        assert!(matches!(happened, Happened::Gated(_)));
+        assert!(life.fits(frame(k), &found(pose), &still()));
+        assert!(!life.fits(frame(k), &found(other), &still()));
+        let happened = life.measured(frame(k), &found(other), &still()).unwrap();
+        assert!(matches!(happened, Happened::Gated));
         assert_eq!(life.state(), Some(TrackState::Coasting));
     }
-    assert!(!life.fits(frame(7), &other, &covariance(), &still()), "it would begin anew");
-    assert_eq!(
-        life.measured(frame(7), &other, &covariance(), &still()).unwrap(),
-        Happened::Restarted
-    );
+    assert!(!life.fits(frame(7), &found(other), &still()), "it would begin anew");
+    assert_eq!(life.measured(frame(7), &found(other), &still()).unwrap(), Happened::Restarted);
     assert_eq!(life.state(), Some(TrackState::Tentative));
-    assert_eq!(life.track().unwrap().now().camera_from_markers, other);
+    assert_eq!(life.track().unwrap().camera_from_markers, other);
     // A tentative one is not worth defending.
-    assert_eq!(
-        life.measured(frame(8), &pose, &covariance(), &still()).unwrap(),
-        Happened::Restarted
-    );
+    assert_eq!(life.measured(frame(8), &found(pose), &still()).unwrap(), Happened::Restarted);
 }
 
 #[test]
@@ -82,18 +72,18 @@ fn a_life_survives_jumps_of_the_clock() {
     let pose = Isometry3::translation(1.0, 0.0, 0.0);
     let mut life = life();
     for k in 0..5 {
-        life.measured(frame(k), &pose, &covariance(), &still()).unwrap();
+        life.measured(frame(k), &found(pose), &still()).unwrap();
     }
     let before = life.clone();
-    let late = life.measured(frame(-2), &pose, &covariance(), &still());
+    let late = life.measured(frame(-2), &found(pose), &still());
     assert!(matches!(late, Err(FilterError::Past { .. })));
     assert_eq!(life.unseen(frame(-2), &still()), Some(TrackState::Confirmed));
-    assert!(life.measured(f64::NAN, &pose, &covariance(), &still()).is_err());
+    assert!(life.measured(f64::NAN, &found(pose), &still()).is_err());
     assert_eq!(life.unseen(f64::NAN, &still()), Some(TrackState::Confirmed));
     assert_eq!(life, before);
     // A second and more back, the source has begun anew; so it has after a long silence.
-    assert_eq!(life.measured(1.0, &pose, &covariance(), &still()).unwrap(), Happened::Restarted);
-    assert_eq!(life.measured(1e6, &pose, &covariance(), &still()).unwrap(), Happened::Started);
+    assert_eq!(life.measured(1.0, &found(pose), &still()).unwrap(), Happened::Restarted);
+    assert_eq!(life.measured(1e6, &found(pose), &still()).unwrap(), Happened::Started);
     assert_eq!(life.unseen(5.0, &still()), Some(TrackState::Lost));
 }
 
@@ -125,7 +115,7 @@ fn reports(latest_s: f64) -> impl Strategy<Value = Vec<Report>> {
 fn tell(life: &mut LifeCycle, k: usize, report: &Report) {
     let stamp_s = 10.0 + k as f64 / 30.0;
     match &report.measured {
-        Some(pose) => assert!(life.measured(stamp_s, pose, &covariance(), &still()).is_ok()),
+        Some(pose) => assert!(life.measured(stamp_s, &found(*pose), &still()).is_ok()),
         None => assert_eq!(life.unseen(stamp_s, &still()), life.state()),
     }
 }
@@ -172,22 +162,22 @@ fn a_late_measurement_takes_its_place() {
     let pose = |k: i32| Isometry3::translation(1.0 + 0.05 * f64::from(k), 0.0, 0.0);
     let (mut in_time, mut late) = (life(), life());
     for k in 0..8 {
-        in_time.measured(frame(k), &pose(k), &covariance(), &still()).unwrap();
+        in_time.measured(frame(k), &found(pose(k)), &still()).unwrap();
         if k == 5 {
             // Nothing is known of it yet, and that is said.
             late.unseen(frame(k), &still());
         } else {
-            late.measured(frame(k), &pose(k), &covariance(), &still()).unwrap();
+            late.measured(frame(k), &found(pose(k)), &still()).unwrap();
         }
     }
-    let without = late.track().unwrap().now();
+    let without = late.track().unwrap().clone();
     assert!(matches!(
-        late.measured(frame(5), &pose(5), &covariance(), &still()).unwrap(),
-        Happened::Updated(_)
+        late.measured(frame(5), &found(pose(5)), &still()).unwrap(),
+        Happened::Updated
     ));
     assert_eq!(late.track(), in_time.track());
     assert_eq!((late.state(), late.last_seen_s()), (in_time.state(), Some(frame(7))));
-    assert!(in_time.track().unwrap().now().covariance[(6, 6)] < without.covariance[(6, 6)]);
+    assert!(in_time.track().unwrap().covariance[(6, 6)] < without.covariance[(6, 6)]);
     // What was seen stays seen.
     assert_eq!(late.unseen(frame(5), &still()), Some(TrackState::Confirmed));
     assert_eq!(late, in_time);

@@ -1,11 +1,35 @@
 //! The picture of a place with one pixel for each cell, at each turn and range.
 
 use std::collections::HashMap;
+use std::f64::consts::TAU;
 
 use nalgebra::{Isometry3, UnitQuaternion, Vector2, Vector3};
 
-use super::grid::{BLUR_CELLS, Cell, RANGE_STEP, REACH_CELLS, lean, turn_rad};
 use crate::align::patch::Patch;
+
+/// Blur of the canonical picture, standard deviation, cells.
+pub(super) const BLUR_CELLS: f64 = 0.85;
+/// The body's middle is looked for so many cells to each side of the place.
+pub(super) const REACH_CELLS: usize = 11;
+/// Ranges from the stated one, as powers of this. The coarse grid has every second power.
+const RANGE_STEP: f64 = 1.075;
+/// Exponents of the nearest and the farthest range of the coarse grid. Markers at an angle make a
+/// place seem farther away, the box round one on its corner makes it seem nearer.
+pub(super) const RANGE_EXPONENTS: (i32, i32) = (-6, 6);
+/// Turns about the line of sight on the fine grid.
+pub(super) const TURNS: usize = 48;
+
+/// A pose of the grid, with how well the picture agrees.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct GridPose {
+    pub template: usize,
+    /// Turn about the line of sight, in fine steps.
+    pub turn: usize,
+    pub exponent: i32,
+    /// Shift of the template in the canonical picture, pixels.
+    pub shift: [usize; 2],
+    pub score: f32,
+}
 
 /// A canonical picture.
 #[derive(Debug)]
@@ -27,17 +51,6 @@ impl Canvas {
     }
 }
 
-/// The part of a picture that is looked at.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Place<'p> {
-    pub patch: &'p Patch,
-    /// The place in the patch.
-    pub centre_px: Vector2<f64>,
-    pub range_m: f64,
-    /// Blur of the lens, pixels of the patch.
-    pub lens_px: f64,
-}
-
 /// How large canonical pictures are, and of what.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Size {
@@ -54,6 +67,11 @@ impl Size {
         Self { side: 2 * (radius + REACH_CELLS + 1), radius, cell_m }
     }
 
+    /// Pixels along a side of a template.
+    pub fn template_side(&self) -> usize {
+        2 * self.radius + 1
+    }
+
     /// The place of a pixel in a picture, and in one whose columns are parted.
     pub fn places(&self, x: usize, y: usize) -> [u32; 2] {
         let parted = x % 2 * (self.side / 2) + x / 2;
@@ -64,36 +82,44 @@ impl Size {
 /// Canonical pictures of a place, made when they are needed.
 #[derive(Debug)]
 pub(super) struct Canvases<'p> {
-    size: Size,
-    place: Place<'p>,
+    pub size: Size,
+    patch: &'p Patch,
+    /// The place in the patch.
+    centre_px: Vector2<f64>,
+    range_m: f64,
+    /// Blur of the lens, pixels of the patch.
+    lens_px: f64,
     blurred: HashMap<i32, Patch>,
     made: HashMap<(usize, i32), Canvas>,
 }
 
 impl<'p> Canvases<'p> {
-    pub fn new(size: Size, place: &Place<'p>) -> Self {
-        Self { size, place: *place, blurred: HashMap::new(), made: HashMap::new() }
-    }
-
-    pub fn cell_m(&self) -> f64 {
-        self.size.cell_m
+    pub fn new(
+        size: Size,
+        patch: &'p Patch,
+        centre_px: Vector2<f64>,
+        range_m: f64,
+        lens_px: f64,
+    ) -> Self {
+        let (blurred, made) = (HashMap::new(), HashMap::new());
+        Self { size, patch, centre_px, range_m, lens_px, blurred, made }
     }
 
     /// Range of an exponent, metres.
     fn range_m(&self, exponent: i32) -> f64 {
-        self.place.range_m * RANGE_STEP.powi(exponent)
+        self.range_m * RANGE_STEP.powi(exponent)
     }
 
     /// Pixels of the patch for each of the canonical picture.
     fn cell_px(&self, exponent: i32) -> f64 {
-        self.size.cell_m / self.range_m(exponent) * self.place.patch.pinhole.focal_px
+        self.size.cell_m / self.range_m(exponent) * self.patch.pinhole.focal_px
     }
 
     /// The point of the patch that a canonical picture shows at `at`.
     fn in_patch(&self, turn: usize, exponent: i32, at: Vector2<f64>) -> Vector2<f64> {
         let (sin, cos) = turn_rad(turn).sin_cos();
         let off = (at.add_scalar(-self.middle())) * self.cell_px(exponent);
-        self.place.centre_px + Vector2::new(cos * off.x - sin * off.y, sin * off.x + cos * off.y)
+        self.centre_px + Vector2::new(cos * off.x - sin * off.y, sin * off.x + cos * off.y)
     }
 
     /// The pixel of the place in a canonical picture, along both axes.
@@ -111,7 +137,7 @@ impl<'p> Canvases<'p> {
     }
 
     fn draw(&mut self, turn: usize, exponent: i32) -> Canvas {
-        let Place { patch, lens_px, .. } = self.place;
+        let Self { patch, lens_px, .. } = *self;
         let wanted_px = BLUR_CELLS * self.cell_px(exponent);
         self.blurred.entry(exponent).or_insert_with(|| {
             let missing_px2 = wanted_px.powi(2) - lens_px.powi(2);
@@ -132,16 +158,31 @@ impl<'p> Canvases<'p> {
 
     /// The pose of a cell (`patch_from_markers`), whose template shows the body in the attitude
     /// `sight_from_markers`.
-    pub fn pose(&self, sight_from_markers: &UnitQuaternion<f64>, cell: &Cell) -> Isometry3<f64> {
+    pub fn pose(
+        &self,
+        sight_from_markers: &UnitQuaternion<f64>,
+        cell: &GridPose,
+    ) -> Isometry3<f64> {
         let [right, down] = cell.shift.map(|shift| (self.size.radius + shift) as f64);
         let at = self.in_patch(cell.turn, cell.exponent, Vector2::new(right, down));
-        let sight = self.place.patch.pinhole.direction(at).normalize();
+        let sight = self.patch.pinhole.direction(at).normalize();
         let roll = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn_rad(cell.turn));
         Isometry3::from_parts(
             (sight * self.range_m(cell.exponent)).into(),
             lean(&sight) * roll * sight_from_markers,
         )
     }
+}
+
+/// The angle of a turn, radians.
+fn turn_rad(turn: usize) -> f64 {
+    turn as f64 / TURNS as f64 * TAU
+}
+
+/// The rotation that leads from the z axis to `sight` by the shortest way.
+fn lean(sight: &Vector3<f64>) -> UnitQuaternion<f64> {
+    // A patch looks ahead, so its pixels never look backwards.
+    UnitQuaternion::rotation_between(&Vector3::z(), sight).unwrap_or_default()
 }
 
 /// The even columns of each row, then the odd ones.

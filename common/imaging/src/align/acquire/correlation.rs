@@ -1,11 +1,11 @@
 //! How well a template agrees with a canonical picture at each shift.
 //!
-//! Facet by facet, the pattern is correlated with the radiance: light and noise of a facet may be any. The score is the
-//! log of a likelihood ratio, as the evidence's, but for the factor that makes values independent.
+//! Facet by facet, the pattern is correlated with the radiance: light and noise of a facet may be
+//! any. The score is the log of a likelihood ratio, as the evidence's, but for the factor that
+//! makes values independent.
 
-use super::canvas::Canvas;
-use super::grid::REACH_CELLS;
-use super::templates::{Sample, Template};
+use super::canvas::{Canvas, REACH_CELLS};
+use super::templates::{Template, TemplatePixel};
 
 /// Every second shift along an axis.
 const COARSE: usize = REACH_CELLS + 1;
@@ -55,12 +55,11 @@ fn keep_best(best: &mut (f32, [usize; 2]), scores: &[f32], shift: impl Fn(usize)
     }
 }
 
-/// The scores of `N` shifts. `at` gives the radiance and its square under a sample, and those of the next shifts behind
-/// it.
+/// The scores of `N` shifts. `at` gives radiance and its square from a sample on, by shift.
 #[inline]
 fn rate<'c, const N: usize>(
     template: &Template,
-    at: impl Fn(&Sample) -> [&'c [f32]; 2],
+    at: impl Fn(&TemplatePixel) -> [&'c [f32]; 2],
 ) -> [f32; N] {
     #[cfg(target_arch = "x86_64")]
     if std::arch::is_x86_feature_detected!("avx2") && std::arch::is_x86_feature_detected!("fma") {
@@ -75,7 +74,7 @@ fn rate<'c, const N: usize>(
 #[target_feature(enable = "avx2,fma")]
 fn rate_avx2<'c, const N: usize>(
     template: &Template,
-    at: impl Fn(&Sample) -> [&'c [f32]; 2],
+    at: impl Fn(&TemplatePixel) -> [&'c [f32]; 2],
 ) -> [f32; N] {
     rate_any(template, at)
 }
@@ -83,7 +82,7 @@ fn rate_avx2<'c, const N: usize>(
 #[inline(always)]
 fn rate_any<'c, const N: usize>(
     template: &Template,
-    at: impl Fn(&Sample) -> [&'c [f32]; 2],
+    at: impl Fn(&TemplatePixel) -> [&'c [f32]; 2],
 ) -> [f32; N] {
     let mut scores = [0.0; N];
     for (range, weight) in &template.facets {
@@ -109,7 +108,8 @@ fn rate_any<'c, const N: usize>(
     scores
 }
 
-/// -ln(1 - x), within 5 % for x up to 0.7. Beyond it is less: so much agreement comes by chance on a few samples.
+/// -ln(1 - x), within 5 % for x up to 0.7. Beyond it is less: so much agreement comes by chance on
+/// a few samples.
 #[inline(always)]
 fn minus_ln_1p_minus(x: f32) -> f32 {
     x * (1.0 + x * (0.5 + 0.6 * x))
@@ -146,7 +146,7 @@ mod tests {
             let pixels = rows.flat_map(|y| (0..6).map(move |x| (x, y)));
             samples.extend(pixels.zip(&values).map(|((x, y), value)| {
                 let [at, at_parted] = SIZE.places(x, y);
-                Sample { at, at_parted, pattern: (value - mean) / norm }
+                TemplatePixel { at, at_parted, pattern: (value - mean) / norm }
             }));
             facets.push((first..samples.len(), (samples.len() - first) as f32));
         }

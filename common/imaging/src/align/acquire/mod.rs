@@ -1,26 +1,24 @@
 //! Where alignment may start for a body of which only a rough place is known.
 //!
-//! Far away, in the dark or in glare no marker is found, but people still see a body with a pattern. This search sees
-//! it too: it compares the picture with the body in all attitudes ([`templates`]). It works in a *canonical picture* of
-//! one pixel for each cell of the body's smallest marker, with more blur than a lens leaves there. So the usual body is
-//! 23 pixels across, whatever its distance, and none is more than 32.
+//! Far away, in the dark or in glare no marker is found, but people still see a body with a
+//! pattern. This search sees it too: it compares the picture with the body in all attitudes
+//! ([`templates`]). It works in a *canonical picture* of one pixel for each cell of the body's
+//! smallest marker, with more blur than a lens leaves there. So the usual body is 23 pixels across,
+//! whatever its distance, and none is more than 32.
 //!
-//! 1. Coarse: each attitude at each turn about the line of sight, each range and every second pixel
-//!    ([`coarse`]).
+//! 1. Coarse: each attitude, turn about the line of sight, range and second pixel ([`coarse`]).
 //! 2. Fine: the best of these again at half the steps ([`fine`]).
-//! 3. The best that differ are the starts, best first. Which of them leads to the body is for alignment and its
-//!    evidence to say.
+//! 3. The best that differ are the starts, best first. Which of them leads to the body is for
+//!    alignment and its evidence to say.
 
 mod canvas;
 mod correlation;
-mod grid;
 mod templates;
 
 use nalgebra::{Isometry3, Vector3};
 
 use super::patch::Patch;
-use canvas::Canvases;
-use grid::{Cell, RANGE_EXPONENTS, TURNS};
+use canvas::{Canvases, GridPose, RANGE_EXPONENTS, TURNS};
 use templates::Template;
 pub use templates::Templates;
 
@@ -43,8 +41,8 @@ pub struct Place {
     pub range_m: f64,
 }
 
-/// Poses (`patch_from_markers`) to start from, the likeliest of each kind of template first. `middle` is the place's
-/// direction in the patch, `lens_px` the lens's blur in it.
+/// Poses (`patch_from_markers`) to start from, the likeliest of each kind of template first.
+/// `middle` is the place's direction in the patch, `lens_px` the lens's blur in it.
 pub(super) fn starts(
     templates: &Templates,
     patch: &Patch,
@@ -53,8 +51,7 @@ pub(super) fn starts(
     lens_px: f64,
 ) -> Vec<Isometry3<f64>> {
     let Some(centre_px) = patch.pinhole.project(middle) else { return Vec::new() };
-    let place = canvas::Place { patch, centre_px, range_m, lens_px };
-    let mut canvases = Canvases::new(templates.size, &place);
+    let mut canvases = Canvases::new(templates.size, patch, centre_px, range_m, lens_px);
     let mut starts = starts_of(&templates.plain, &mut canvases);
     if patch.saturated_share() > SATURATED_SHARE {
         starts.extend(starts_of(&templates.overexposed, &mut canvases));
@@ -75,7 +72,7 @@ fn starts_of(templates: &[Template], canvases: &mut Canvases<'_>) -> Vec<Isometr
             break;
         }
         let start = canvases.pose(&templates[cell.template].sight_from_markers, &cell);
-        if !starts.iter().any(|other| is_same(other, &start, canvases.cell_m())) {
+        if !starts.iter().any(|other| is_same(other, &start, canvases.size.cell_m)) {
             starts.push(start);
         }
     }
@@ -83,8 +80,8 @@ fn starts_of(templates: &[Template], canvases: &mut Canvases<'_>) -> Vec<Isometr
 }
 
 /// The best cells of the coarse grid.
-fn coarse(templates: &[Template], canvases: &mut Canvases<'_>) -> Vec<Cell> {
-    let mut cells: Vec<Cell> = Vec::new();
+fn coarse(templates: &[Template], canvases: &mut Canvases<'_>) -> Vec<GridPose> {
+    let mut cells: Vec<GridPose> = Vec::new();
     let mut least = 0.0;
     for exponent in (RANGE_EXPONENTS.0..=RANGE_EXPONENTS.1).step_by(2) {
         for turn in (0..TURNS).step_by(2) {
@@ -92,7 +89,7 @@ fn coarse(templates: &[Template], canvases: &mut Canvases<'_>) -> Vec<Cell> {
             for (number, template) in templates.iter().enumerate() {
                 let (score, shift) = correlation::best_shift(template, canvas);
                 if score > least {
-                    cells.push(Cell { template: number, turn, exponent, shift, score });
+                    cells.push(GridPose { template: number, turn, exponent, shift, score });
                 }
             }
             if cells.len() > 2 * KEPT {
@@ -108,7 +105,7 @@ fn coarse(templates: &[Template], canvases: &mut Canvases<'_>) -> Vec<Cell> {
 }
 
 /// The best cell of the fine grid beside a coarse one.
-fn fine(templates: &[Template], canvases: &mut Canvases<'_>, coarse: &Cell) -> Cell {
+fn fine(templates: &[Template], canvases: &mut Canvases<'_>, coarse: &GridPose) -> GridPose {
     let mut best = *coarse;
     for exponent in coarse.exponent - 1..=coarse.exponent + 1 {
         for turn in [coarse.turn + TURNS - 1, coarse.turn, coarse.turn + 1] {
@@ -117,7 +114,7 @@ fn fine(templates: &[Template], canvases: &mut Canvases<'_>, coarse: &Cell) -> C
             let template = &templates[coarse.template];
             let (score, shift) = correlation::best_beside(template, canvas, coarse.shift);
             if score > best.score {
-                best = Cell { turn, exponent, shift, score, ..*coarse };
+                best = GridPose { turn, exponent, shift, score, ..*coarse };
             }
         }
     }

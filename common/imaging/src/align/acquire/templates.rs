@@ -4,8 +4,7 @@ use std::ops::Range;
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector2, Vector3};
 
-use super::canvas::Size;
-use super::grid::BLUR_CELLS;
+use super::canvas::{BLUR_CELLS, Size};
 use crate::align::model::Scene;
 use crate::align::patch::smoothed;
 use crate::align::pinhole::Pinhole;
@@ -16,8 +15,8 @@ use crate::align::state::{BLACK_SHARE_PRIOR, Prior, State};
 const DIRECTIONS: usize = 240;
 /// Range at which a body is modelled, metres. Nearer and farther it looks nearly the same.
 const RANGE_M: f64 = 3.0;
-/// Cells from the middle of a body to its rim, at most. One with more of them is searched with coarser pixels, because
-/// time and memory grow with their fourth power.
+/// Cells from the middle of a body to its rim, at most. One with more of them is searched with
+/// coarser pixels, because time and memory grow with their fourth power.
 const MAX_RADIUS_CELLS: f64 = 16.0;
 /// Pixels of which the body covers less show too much of the background.
 const MIN_COVERED: f32 = 0.85;
@@ -27,8 +26,8 @@ const SAMPLES: usize = 130;
 const MIN_FACET_SAMPLES: usize = 3;
 /// Least standard deviation of a facet's pattern; white is 1.
 const MIN_PATTERN: f32 = 0.05;
-/// White of an overexposed template: so many times what saturates the sensor. Bodies that are overexposed by 3 stops
-/// were found best with 2.5, of 1.5, 2.5 and 4.
+/// White of an overexposed template: so many times what saturates the sensor. Bodies that are
+/// overexposed by 3 stops were found best with 2.5, of 1.5, 2.5 and 4.
 const OVEREXPOSED: f32 = 2.5;
 /// Blur before the sensor saturates, cells: that of the lens on a body at 2 to 3 m.
 const LENS_BLUR_CELLS: f64 = 0.6;
@@ -47,14 +46,14 @@ pub struct Templates {
 pub(super) struct Template {
     /// The attitude, in a frame whose z axis is the line of sight.
     pub sight_from_markers: UnitQuaternion<f64>,
-    pub samples: Vec<Sample>,
+    pub samples: Vec<TemplatePixel>,
     /// The samples of each facet, which are weighted by the pixels that they stand for.
     pub facets: Vec<(Range<usize>, f32)>,
 }
 
 /// A pixel of a template.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Sample {
+pub(super) struct TemplatePixel {
     /// Its place in an unshifted canonical picture, and in one whose columns are parted.
     pub at: u32,
     pub at_parted: u32,
@@ -80,31 +79,32 @@ impl Templates {
 }
 
 impl Template {
-    /// The body seen from `direction` (in its markers' frame), its white at `white` times what saturates. `None` where
-    /// no pattern shows.
+    /// The body seen from `direction` (in its markers' frame), its white at `white` times what
+    /// saturates. `None` where no pattern shows.
     fn new(print: &BodyPrint, direction: &Vector3<f64>, size: &Size, white: f32) -> Option<Self> {
         let about_x = || UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI);
         // The camera looks along +z at what faces it.
         let sight_from_markers =
             UnitQuaternion::rotation_between(direction, &-Vector3::z()).unwrap_or_else(about_x);
-        let seen = Seen::of(print, &sight_from_markers, size, white);
-        let shown: usize = seen.facets.iter().flatten().count();
+        let (radiance, covering) = pixels(print, &sight_from_markers, size, white);
+        let shown = covering.iter().flatten().count();
         let step = shown.div_ceil(SAMPLES).max(1);
         let (mut samples, mut facets) = (Vec::new(), Vec::new());
         for facet in 0..print.facets.len() {
-            let own = (0..seen.facets.len()).filter(|&k| seen.facets[k] == Some(facet));
+            let own = (0..covering.len()).filter(|&k| covering[k] == Some(facet));
             let own: Vec<usize> = own.step_by(step).collect();
             let count = own.len() as f32;
-            let mean = own.iter().map(|&k| seen.radiance[k]).sum::<f32>() / count;
-            let squares: f32 = own.iter().map(|&k| (seen.radiance[k] - mean).powi(2)).sum();
+            let mean = own.iter().map(|&k| radiance[k]).sum::<f32>() / count;
+            let squares: f32 = own.iter().map(|&k| (radiance[k] - mean).powi(2)).sum();
             if own.len() < MIN_FACET_SAMPLES || squares < MIN_PATTERN.powi(2) * count {
                 continue;
             }
             let first = samples.len();
             samples.extend(own.iter().map(|&k| {
-                let [at, at_parted] = size.places(k % seen.side, k / seen.side);
-                let pattern = (seen.radiance[k] - mean) / squares.sqrt();
-                Sample { at, at_parted, pattern }
+                let [at, at_parted] =
+                    size.places(k % size.template_side(), k / size.template_side());
+                let pattern = (radiance[k] - mean) / squares.sqrt();
+                TemplatePixel { at, at_parted, pattern }
             }));
             facets.push((first..samples.len(), count * step as f32));
         }
@@ -112,58 +112,48 @@ impl Template {
     }
 }
 
-/// What a template's pixels show.
-struct Seen {
-    side: usize,
-    /// White is 1.
-    radiance: Vec<f32>,
-    /// The facet that covers most of each pixel; `None` where the body covers too little of it.
-    facets: Vec<Option<usize>>,
-}
-
-impl Seen {
-    fn of(
-        print: &BodyPrint,
-        sight_from_markers: &UnitQuaternion<f64>,
-        size: &Size,
-        white: f32,
-    ) -> Self {
-        let Size { radius, cell_m, .. } = *size;
-        let pinhole =
-            Pinhole { focal_px: RANGE_M / cell_m, centre_px: Vector2::repeat(radius as f64) };
-        let saturates = white > 1.0;
-        let blur = if saturates { LENS_BLUR_CELLS } else { BLUR_CELLS };
-        let position = Translation3::new(0.0, 0.0, RANGE_M);
-        let pose = Isometry3::from_parts(position, *sight_from_markers);
-        let state = State::new(print, pose, &Prior::new(blur, Vector2::zeros(), None, 1.0));
-        let scene = Scene::of(print, &state, &pinhole, 0.0, 0.0);
-        let side = 2 * radius + 1;
-        let (mut radiance, mut facets) = (Vec::new(), Vec::new());
-        for (y, x) in (0..side).flat_map(|y| (0..side).map(move |x| (y, x))) {
-            let direction = pinhole.direction(Vector2::new(x as f64, y as f64));
-            let (mut covered, mut black, mut most) = (0.0, 0.0, (0.0, 0));
-            for facet in 0..print.facets.len() {
-                let Some((visible, blurred)) = scene.facet(facet) else { continue };
-                let at = visible.point(&direction);
-                let coverage = blurred.coverage(at).value;
-                if coverage > 0.0 {
-                    covered += coverage;
-                    black += blurred.black(at).value;
-                }
-                if coverage > most.0 {
-                    most = (coverage, facet);
-                }
+/// The radiance of a template's pixels, white being 1, and the facet that covers most of each;
+/// `None` where the body covers too little of it.
+fn pixels(
+    print: &BodyPrint,
+    sight_from_markers: &UnitQuaternion<f64>,
+    size: &Size,
+    white: f32,
+) -> (Vec<f32>, Vec<Option<usize>>) {
+    let Size { radius, cell_m, .. } = *size;
+    let pinhole = Pinhole { focal_px: RANGE_M / cell_m, centre_px: Vector2::repeat(radius as f64) };
+    let saturates = white > 1.0;
+    let blur = if saturates { LENS_BLUR_CELLS } else { BLUR_CELLS };
+    let position = Translation3::new(0.0, 0.0, RANGE_M);
+    let pose = Isometry3::from_parts(position, *sight_from_markers);
+    let state = State::new(print, pose, &Prior::new(blur, Vector2::zeros(), None, 1.0));
+    let scene = Scene::of(print, &state, &pinhole, 0.0, 0.0);
+    let side = size.template_side();
+    let (mut radiance, mut facets) = (Vec::new(), Vec::new());
+    for (y, x) in (0..side).flat_map(|y| (0..side).map(move |x| (y, x))) {
+        let direction = pinhole.direction(Vector2::new(x as f64, y as f64));
+        let (mut covered, mut black, mut most) = (0.0, 0.0, (0.0, 0));
+        for facet in 0..print.facets.len() {
+            let Some((visible, blurred)) = scene.facet(facet) else { continue };
+            let at = visible.point(&direction);
+            let coverage = blurred.coverage(at).value;
+            if coverage > 0.0 {
+                covered += coverage;
+                black += blurred.black(at).value;
             }
-            radiance.push((white * (1.0 - (1.0 - BLACK_SHARE_PRIOR.0 as f32) * black)).min(1.0));
-            facets.push((covered >= MIN_COVERED).then_some(most.1));
+            if coverage > most.0 {
+                most = (coverage, facet);
+            }
         }
-        if saturates {
-            // The sensor saturates between the lens's blur and that of the search.
-            let missing = (BLUR_CELLS.powi(2) - LENS_BLUR_CELLS.powi(2)).sqrt();
-            radiance = smoothed(&radiance, side, side, missing);
-        }
-        Self { side, radiance, facets }
+        radiance.push((white * (1.0 - (1.0 - BLACK_SHARE_PRIOR.0 as f32) * black)).min(1.0));
+        facets.push((covered >= MIN_COVERED).then_some(most.1));
     }
+    if saturates {
+        // The sensor saturates between the lens's blur and that of the search.
+        let missing = (BLUR_CELLS.powi(2) - LENS_BLUR_CELLS.powi(2)).sqrt();
+        radiance = smoothed(&radiance, side, side, missing);
+    }
+    (radiance, facets)
 }
 
 /// Directions that lie evenly on the sphere: a Fibonacci lattice.

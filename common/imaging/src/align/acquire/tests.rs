@@ -21,7 +21,8 @@ fn pose(range_m: f64, attitude: UnitQuaternion<f64>) -> Isometry3<f64> {
     Isometry3::from_parts(Translation3::from(direction * range_m), attitude)
 }
 
-/// Whether the right pose is found from a place that is off by half a radius and a sixth of the range.
+/// Whether the right pose is found from a place that is off by half a radius and a sixth of the
+/// range.
 fn is_found(drawing: &Drawing, templates: &Templates, truth: &Isometry3<f64>) -> bool {
     let print = print_of(&body(0));
     let light = srgb();

@@ -1,26 +1,27 @@
 //! A printed facet blurred by a Gaussian, in closed form.
 //!
-//! A point spread of covariance S in the image has covariance Q S Q' in the facet's plane, with Q the
-//! derivative of the plane's coordinates by the pixel. If that covariance is diagonal, a blurred cell is
-//! a product of differences of the Gaussian's distribution function F. On a facet seen at an angle it is
-//! not diagonal. Then it is split: with correlation r and standard deviations (a, b),
+//! A point spread of covariance S in the image has covariance Q S Q' in the facet's plane, with Q
+//! the derivative of the plane's coordinates by the pixel. If that covariance is diagonal, a
+//! blurred cell is a product of differences of the Gaussian's distribution function F. On a facet
+//! seen at an angle it is not diagonal. Then it is split: with correlation r and standard
+//! deviations (a, b),
 //!
 //! ```text
 //! [a^2, r a b; r a b, b^2] = (1 - |r|) diag(a^2, b^2) + |r| d d',   d = (a, sign(r) b)
 //! ```
 //!
-//! and the blur along the direction d is summed over one, two or three Gauss-Hermite nodes, depending
-//! on r. The edges of the outline are straight, so each is F(distance / standard deviation across the
-//! edge) for any covariance. Where two edges meet, their product is taken.
+//! and the blur along the direction d is summed over one, two or three Gauss-Hermite nodes,
+//! depending on r. The edges of the outline are straight, so each is F(distance / standard
+//! deviation across the edge) for any covariance. Where two edges meet, their product is taken.
 //!
-//! A body that moves during the exposure is also blurred along its path, evenly and not like a Gaussian: a
-//! path as long as two cells leaves nothing of them, and a longer one turns black into white. So the facet
-//! is modelled twice, a little before and a little after ([`PathBlur`]), and the mean is taken.
+//! A body that moves during the exposure is also blurred evenly along its path: a path as long as
+//! two cells leaves nothing of them, a longer one turns black into white. So the facet is modelled
+//! a little before and a little after ([`PATH_OFFSET`]), and the mean is taken.
 
 use nalgebra::{Matrix2, Vector2};
 
 use crate::align::print::{Cells, MAX_CELLS, PrintedFacet};
-use crate::align::state::PathBlur;
+use crate::align::state::PATH_OFFSET;
 use crate::gaussian::{Gaussian, REACH};
 
 /// A blurred indicator function at a point of the plane, with its derivatives by the coordinates in
@@ -32,22 +33,11 @@ pub(in crate::align) struct Share {
     pub curvature: [f32; 3],
 }
 
-/// Blurred parts of a marker that the evidence compares the image with.
-#[derive(Debug, Clone, Copy, Default)]
-pub(in crate::align) struct Parts {
-    /// All black cells.
-    pub black: f32,
-    /// The whole black square, as if all its cells were black.
-    pub square: f32,
-    /// The square inside the border.
-    pub inside: f32,
-}
-
 /// One facet with one point spread.
 #[derive(Clone)]
 pub(in crate::align) struct BlurredFacet<'p> {
     cells: Option<BlurredCells<'p>>,
-    edges: Vec<Edge>,
+    edges: Vec<OutlineEdge>,
     /// Whether the body moves during the exposure.
     moves: bool,
     gaussian: Gaussian,
@@ -63,20 +53,18 @@ struct BlurredCells<'p> {
 }
 
 #[derive(Clone)]
-struct Edge {
-    /// The depth inside the edge is `normal . at + offset`, in standard deviations across the edge of all
-    /// blur together.
+struct OutlineEdge {
+    /// Depth inside the edge is `normal . at + offset`, standard deviations of all blur.
     normal: Vector2<f32>,
     offset: f32,
     /// Standard deviation of all blur together, in those of the Gaussian alone.
     steepness: f32,
-    /// How much deeper the point lies at the one end of the path, in standard deviations of the Gaussian.
+    /// Additional depth at the one end of the path, standard deviations of the Gaussian.
     shift: f32,
 }
 
-impl Edge {
-    /// The depth of a point at one end of the path (1) or the other (-1), in standard deviations of the
-    /// Gaussian.
+impl OutlineEdge {
+    /// Depth of a point at an end of the path (1 or -1), standard deviations of the Gaussian.
     #[inline(always)]
     fn depth_at(&self, at: &Vector2<f32>, end: f32) -> f32 {
         (self.normal.dot(at) + self.offset) * self.steepness + end * self.shift
@@ -86,7 +74,7 @@ impl Edge {
 /// Weights of the cells within reach of the Gaussian, along one axis.
 ///
 /// A cell's weight is the difference of F at its two borders.
-struct Weights {
+struct CellWeights {
     /// The first cell within reach.
     first: usize,
     count: usize,
@@ -94,15 +82,15 @@ struct Weights {
     cells: [[f32; 3]; MAX_CELLS],
 }
 
-impl Weights {
+impl CellWeights {
     const NONE: Self = Self { first: 0, count: 0, cells: [[0.0; 3]; MAX_CELLS] };
 }
 
 impl<'p> BlurredFacet<'p> {
-    /// `covariance` is that of the Gaussian in the facet's plane, metres squared, `path` how far the body
-    /// moves there during the exposure, metres.
+    /// `covariance` is that of the Gaussian in the facet's plane, metres squared, `path` how far
+    /// the body moves there during the exposure, metres.
     pub fn new(facet: &'p PrintedFacet, covariance: &Matrix2<f64>, path: &Vector2<f64>) -> Self {
-        let aside = path * PathBlur::OFFSET;
+        let aside = path * PATH_OFFSET;
         let cells = facet.cells.as_ref().map(|cells| BlurredCells::new(cells, covariance, &aside));
         let middle = facet.middle();
         let count = facet.outline.len();
@@ -115,7 +103,7 @@ impl<'p> BlurredFacet<'p> {
                 let of_gaussian = inwards.dot(&(covariance * inwards)).sqrt();
                 let shift = inwards.dot(&aside);
                 let sigma = if shift == 0.0 { of_gaussian } else { of_gaussian.hypot(shift) };
-                Edge {
+                OutlineEdge {
                     normal: (inwards / sigma).cast(),
                     offset: (-inwards.dot(&from.coords) / sigma) as f32,
                     steepness: (sigma / of_gaussian) as f32,
@@ -138,8 +126,7 @@ impl<'p> BlurredFacet<'p> {
         self.edges[k].normal
     }
 
-    /// A blurred line without width along edge `k`: its radiance at a point, for a line of one unit of
-    /// radiance times metres.
+    /// Radiance at a point of a blurred line along edge `k`, of one unit of radiance times metres.
     #[inline(always)]
     pub fn line(&self, k: usize, at: Vector2<f64>) -> f64 {
         let (edge, at) = (&self.edges[k], at.cast());
@@ -201,7 +188,7 @@ impl<'p> BlurredFacet<'p> {
         let mut sum = Share::default();
         let per_cell = 1.0 / blurred.cells.side_m as f32;
         let [x, y] = blurred.in_cells(at);
-        let (mut across, mut down) = (Weights::NONE, Weights::NONE);
+        let (mut across, mut down) = (CellWeights::NONE, CellWeights::NONE);
         for &(weight, [dx, dy]) in &blurred.nodes {
             let count = blurred.cells.count;
             self.weigh(&mut across, x + dx, blurred.sigma[0], count);
@@ -234,47 +221,45 @@ impl<'p> BlurredFacet<'p> {
         sum
     }
 
-    /// The marker's blurred parts; zero on a facet without one.
-    pub fn parts(&self, at: Vector2<f64>) -> Parts {
-        let Some(blurred) = &self.cells else { return Parts::default() };
+    /// The marker's whole square, as if all its cells were black, and the square inside its border,
+    /// both blurred; zero on a facet without a marker.
+    pub fn squares(&self, at: Vector2<f64>) -> [f32; 2] {
+        let mut sums = [0.0; 2];
+        let Some(blurred) = &self.cells else { return sums };
         let count = blurred.cells.count;
-        let mut sum = Parts { black: self.black(at).value, ..Parts::default() };
         let [x, y] = blurred.in_cells(at);
         for &(weight, [dx, dy]) in &blurred.nodes {
             let between = |at: f32, sigma: f32, from: usize, to: usize| {
                 let below = |border: usize| self.gaussian.at((at - border as f32) / sigma).1;
                 below(from) - below(to)
             };
-            let both = |from, to| {
-                between(x + dx, blurred.sigma[0], from, to)
-                    * between(y + dy, blurred.sigma[1], from, to)
-            };
-            sum.square += weight * both(0, count);
-            sum.inside += weight * both(1, count - 1);
+            for (sum, (from, to)) in sums.iter_mut().zip([(0, count), (1, count - 1)]) {
+                *sum += weight
+                    * (between(x + dx, blurred.sigma[0], from, to)
+                        * between(y + dy, blurred.sigma[1], from, to));
+            }
         }
-        sum
+        sums
     }
 
-    /// Computes the weights of the cells along one axis for a point `at`, in cells from the square's
-    /// edge.
+    /// Computes the weights of cells along an axis for a point, in cells from the square's edge.
     ///
     /// They are written in place, because moving them would take longer than computing them.
     #[inline(always)]
-    fn weigh(&self, weights: &mut Weights, at: f32, sigma: f32, count: usize) {
+    fn weigh(&self, weights: &mut CellWeights, at: f32, sigma: f32, count: usize) {
         weights.count = 0;
         let (per_sigma, reach) = (1.0 / sigma, REACH * sigma);
         let (from, to) = (at - reach, at + reach);
         // At most MAX_CELLS. See `Gaussian::at` for the type.
         let count = count as u16;
-        // No border from 0 to `count` is within reach. The test is written so that a NaN reaches none.
+        // No border from 0 to `count` is within reach; a NaN reaches none.
         if !(to >= 0.0 && from <= f32::from(count)) {
             return;
         }
         // The casts truncate and saturate.
         let low = if from <= 0.0 { 0 } else { from as u16 + 1 };
         let high = (to as u16).min(count);
-        // From the cell before the first border within reach to the cell after the last one. At borders
-        // below `low`, F is 1.
+        // From the cell before the first border in reach to that after the last. Below, F is 1.
         weights.first = usize::from(low.saturating_sub(1));
         let mut before = [1.0, 0.0, 0.0];
         let mut place = 0;
@@ -306,9 +291,9 @@ impl<'p> BlurredCells<'p> {
         let (a, b) = (covariance[(0, 0)].sqrt(), covariance[(1, 1)].sqrt());
         let correlation = (covariance[(0, 1)] / (a * b)).clamp(-0.98, 0.98);
         let along = Vector2::new(a, b * correlation.signum()) / cells.side_m;
-        // Nodes are (weight, position along d in standard deviations). Straight edges are exact with any
-        // number of nodes; more nodes matter at the corners of cells. On cells much wider than the blur few
-        // pixels lie near a corner.
+        // Nodes are (weight, position along d in standard deviations). Straight edges are exact
+        // with any number of nodes; more nodes matter at the corners of cells. On cells much wider
+        // than the blur few pixels lie near a corner.
         let tolerance = if a.max(b) < NARROW_BLUR_CELLS * cells.side_m { 0.25 } else { 0.1 };
         let (share, nodes): (f64, &[(f64, f64)]) = match correlation.abs() {
             r if r < tolerance => (0.0, &[(1.0, 0.0)]),

@@ -5,8 +5,8 @@ use nalgebra::{Isometry3, Matrix2, Matrix3, Point2, Vector2, Vector3};
 use crate::align::pinhole::Pinhole;
 use crate::align::print::{BodyPrint, PrintedFacet};
 
-/// A facet is drawn if the cosine of its angle of incidence is at least this. A facet seen more edge-on
-/// is too narrow to be read; its edges count as silhouette.
+/// A facet is drawn if the cosine of its angle of incidence is at least this. A facet seen more
+/// edge-on is too narrow to be read; its edges count as silhouette.
 const MIN_COSINE: f64 = 0.17;
 
 /// A facet that faces the camera, at one pose.
@@ -26,14 +26,11 @@ pub(in crate::align) struct VisibleFacet {
     pub facet_from_pixel: Matrix2<f64>,
     /// The outline in the patch, pixels.
     pub outline_px: Vec<Vector2<f64>>,
-    /// Cosine of the angle of incidence at the middle.
-    #[cfg(test)]
-    pub cosine: f64,
 }
 
 /// How the facet's point under a fixed pixel moves with the pose.
 #[derive(Debug, Clone, Copy)]
-pub(in crate::align) struct Flow {
+pub(in crate::align) struct PointFlow {
     /// The point of the plane under the pixel, in the facet's frame, metres.
     pub at: Vector2<f64>,
     /// The point relative to the markers' origin, in the camera's axes.
@@ -43,8 +40,7 @@ pub(in crate::align) struct Flow {
 }
 
 impl VisibleFacet {
-    /// The facet at `camera_from_markers`; `None` if it faces away, is seen edge-on or lies behind the
-    /// camera.
+    /// The facet at a pose; `None` if it faces away, is seen edge-on or lies behind the camera.
     pub fn new(
         facet: &PrintedFacet,
         camera_from_markers: &Isometry3<f64>,
@@ -73,18 +69,13 @@ impl VisibleFacet {
         let facet_from_pixel = Matrix2::from_columns(&[across(&x), across(&y)]).try_inverse()?;
         let markers = camera_from_markers.translation.vector;
         let offset = z.dot(&origin);
-        Some(Self {
-            x,
-            y,
-            z,
-            origin,
-            markers,
-            offset,
-            facet_from_pixel,
-            outline_px,
-            #[cfg(test)]
-            cosine,
-        })
+        Some(Self { x, y, z, origin, markers, offset, facet_from_pixel, outline_px })
+    }
+
+    /// Least and largest coordinate of the outline along an axis of the patch, pixels.
+    pub fn span_px(&self, axis: usize) -> (f64, f64) {
+        let along = self.outline_px.iter().map(|corner| corner[axis]);
+        along.fold((f64::MAX, f64::MIN), |(low, high), at| (low.min(at), high.max(at)))
     }
 
     /// The point of the plane in this `direction`, in the facet's frame.
@@ -99,11 +90,11 @@ impl VisibleFacet {
     /// When the body moves by d, its point leaves the pixel. The point that takes its place lies at
     /// l e - d from it, with e the direction of the pixel and l such that it lies in the plane.
     #[inline(always)]
-    pub fn flow(&self, direction: &Vector3<f64>) -> Flow {
+    pub fn flow(&self, direction: &Vector3<f64>) -> PointFlow {
         let slope = 1.0 / self.z.dot(direction);
         let point = direction * (self.offset * slope);
         let from_origin = point - self.origin;
-        Flow {
+        PointFlow {
             at: Vector2::new(self.x.dot(&from_origin), self.y.dot(&from_origin)),
             arm: point - self.markers,
             along_x: self.z * (self.x.dot(direction) * slope) - self.x,
@@ -111,12 +102,12 @@ impl VisibleFacet {
         }
     }
 
-    /// Homography from pixels to the facet's plane. It is used to find the pixels that the facet covers.
+    /// Homography from pixels to the facet's plane, to find the pixels that it covers.
     pub fn plane_from_pixel(&self, pinhole: &Pinhole) -> Matrix3<f64> {
         let (f, c) = (pinhole.focal_px, pinhole.centre_px);
         let camera_from_pixel =
             Matrix3::new(1.0 / f, 0.0, -c.x / f, 0.0, 1.0 / f, -c.y / f, 0.0, 0.0, 1.0);
-        // point = direction * offset / (z . direction), so everything before the division is linear.
+        // point = direction * offset / (z . direction): linear before the division.
         let row = |axis: &Vector3<f64>| axis * self.offset - self.z * axis.dot(&self.origin);
         Matrix3::from_rows(&[
             row(&self.x).transpose(),
@@ -126,7 +117,7 @@ impl VisibleFacet {
     }
 }
 
-impl Flow {
+impl PointFlow {
     /// Derivative of a value by the pose: by the shift of the markers' origin, then by the rotation
     /// about it, both in the camera's axes. `slope` is its derivative by the facet's coordinates.
     #[inline(always)]

@@ -29,8 +29,8 @@ fn modelled(
 
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(200))]
-    /// Derivatives by pose and levels against differences of the model. The point spread on each facet is
-    /// held fixed, as in a step of the solver.
+    /// Derivatives by pose and levels against differences of the model. The point spread on each
+    /// facet is held fixed, as in a step of the solver.
     #[test]
     fn derivatives_are_those_of_the_model(
         euler in prop::array::uniform3(-3.0..3.0f64),
@@ -51,10 +51,12 @@ proptest! {
         };
         let visible = visible_facets(&print, &pose, &pinhole);
         for (index, facet) in visible.iter().enumerate() {
-            let Some(facet) = facet else { continue };
-            if facet.cosine < 0.4 { continue }
-            let point = pose * print.facets[index].markers_from_facet
-                * nalgebra::Point3::new(across[0] * 0.025, across[1] * 0.025, 0.0);
+            let printed = &print.facets[index];
+            let camera_from_facet = pose * printed.markers_from_facet;
+            let middle = camera_from_facet * Point3::from(printed.middle().coords.push(0.0));
+            let cosine = (camera_from_facet * Vector3::z()).dot(&middle.coords.normalize());
+            if facet.is_none() || cosine < 0.4 { continue }
+            let point = camera_from_facet * Point3::new(across[0] * 0.025, across[1] * 0.025, 0.0);
             let at = pinhole.project(&point.coords).expect("ahead");
             let base = Scene::of(&print, &state, &pinhole, 0.0, 0.5);
             let model = |state: &State| modelled(&print, state, &pinhole, at, index, Some(&base)).expect("seen");

@@ -15,9 +15,9 @@ pub(super) type Unknowns = SVector<f64, UNKNOWNS>;
 type Triangle = [[f64; ROOM]; UNKNOWNS];
 
 /// Sums over the pixels at one state.
-pub(super) struct Sums {
-    /// Sum of the products of the rows, times the weights. If the scatter was requested, times the slopes of
-    /// the influence function instead.
+pub(super) struct RobustSums {
+    /// Sum of the products of the rows, times the weights. If the scatter was requested, times the
+    /// slopes of the influence function instead.
     normal: Triangle,
     /// Sum of the products of the rows, times the squares of the weighted residuals, if requested.
     scattered: Option<Triangle>,
@@ -26,13 +26,13 @@ pub(super) struct Sums {
     pub(super) sizes: Vec<f64>,
     /// Where they are in the grid.
     pub(super) places: Vec<usize>,
-    /// Sum of the squares of the weighted residuals, and sums of their products with the one to the left and
-    /// the one above.
+    /// Sum of the squares of the weighted residuals, and sums of their products with the one to the
+    /// left and the one above.
     pub(super) squares: f64,
     pub(super) products: [f64; 2],
 }
 
-impl Sums {
+impl RobustSums {
     /// Empty sums with room for `pixels`; with `scatter` also sums that the covariance needs.
     pub(super) fn new(pixels: usize, scatter: bool) -> Self {
         let zeros = [[0.0; ROOM]; UNKNOWNS];
@@ -47,8 +47,8 @@ impl Sums {
         }
     }
 
-    /// Adds the row of the pixel at `place` in the grid, of which only the first `last` values are not zero. Returns the
-    /// weighted residual.
+    /// Adds the row of the pixel at `place` in the grid, of which only the first `last` values are
+    /// not zero. Returns the weighted residual.
     pub(super) fn add(
         &mut self,
         place: usize,
@@ -79,13 +79,11 @@ impl Sums {
         self.normal[unknown][unknown] += weight;
         self.gradient[unknown] += weight * residual;
     }
-
-    /// The normal matrix.
     pub(super) fn normal(&self) -> Normal {
         symmetric(&self.normal)
     }
 
-    /// Covariance of the gradient, from the residuals' squares, corrected for the degrees of freedom.
+    /// Covariance of the gradient, corrected for the degrees of freedom.
     pub(super) fn scattered(&self) -> Option<Normal> {
         let count = self.sizes.len() as f64;
         Some(symmetric(self.scattered.as_ref()?) * (count / (count - UNKNOWNS as f64)))

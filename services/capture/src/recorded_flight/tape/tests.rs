@@ -72,19 +72,19 @@ impl Deck {
         self.writer.write(&ChannelKind::of_frame_video(), at_ms * MS, &cdr).unwrap();
     }
 
-    fn play(self, samples: bool) -> (tempfile::TempDir, Result<Tape, CaptureError>) {
+    fn play(self, samples: bool) -> (tempfile::TempDir, Result<FlightTape, CaptureError>) {
         let path = self.folder.path().join("flight.mcap");
         self.writer.finish().unwrap();
-        (self.folder, Tape::open(&path, samples, Duration::ZERO))
+        (self.folder, FlightTape::open(&path, samples, Duration::ZERO))
     }
 }
 
 /// The smallest that is taken for a JPEG of 4x2 pixels.
 const PICTURE: [u8; 17] = [0xFF, 0xD8, 0xFF, 0xC0, 0, 11, 8, 0, 2, 0, 4, 1, 1, 0x11, 0, 0xFF, 0xD9];
 
-fn coded(tape: &mut Tape) -> CodedPicture {
+fn coded(tape: &mut FlightTape) -> CodedPicture {
     match tape.next() {
-        TapeItem::Coded(coded) => coded,
+        Some(TapeItem::Coded(coded)) => coded,
         other => panic!("{other:?}"),
     }
 }
@@ -114,7 +114,7 @@ fn a_picture_waits_for_the_samples_of_its_exposure() {
     // Stream time is that of exposures: the recording's clock.
     let second = coded(&mut tape).header.unwrap();
     assert_eq!([header, second].map(|header| header.stamp.stream_ns), [20 * MS, 50 * MS]);
-    assert_eq!((tape.next(), tape.fault()), (TapeItem::End, None));
+    assert_eq!((tape.next(), tape.fault), (None, None));
 }
 
 #[test]
@@ -130,7 +130,7 @@ fn a_packet_gets_the_stamp_of_its_frame_and_one_that_was_not_published_gets_none
     }
     let (_folder, tape) = deck.play(false);
     let mut tape = tape.unwrap();
-    assert_eq!(tape.coding(), Coding::H264);
+    assert_eq!(tape.codec(), VideoCodec::H264);
     let told: Vec<_> = (0..4)
         .map(|_| {
             let coded = coded(&mut tape);
@@ -138,7 +138,7 @@ fn a_packet_gets_the_stamp_of_its_frame_and_one_that_was_not_published_gets_none
         })
         .collect();
     assert_eq!(told, [(0, Some(0), 4), (20, Some(2), 5), (10, None, 6), (30, Some(3), 7)]);
-    assert_eq!(tape.next(), TapeItem::End);
+    assert_eq!(tape.next(), None);
 }
 
 #[test]
@@ -153,13 +153,13 @@ fn what_rests_on_a_missing_packet_is_left_out_up_to_the_next_key_frame() {
     let mut told = Vec::new();
     loop {
         match tape.next() {
-            TapeItem::Coded(coded) => told.push(u64::from(coded.bytes[3])),
-            TapeItem::Damaged { what, why } => {
+            Some(TapeItem::Coded(coded)) => told.push(u64::from(coded.bytes[3])),
+            Some(TapeItem::Damaged { what, why }) => {
                 assert!(what.starts_with("/flockeye/frame/video, message"), "{what}");
                 assert!(why.contains("packets before it are missing"), "{why}");
                 told.push(99);
             }
-            TapeItem::End => break,
+            None => break,
         }
     }
     assert_eq!(told, [0, 1, 99, 99, 5]);
@@ -205,18 +205,20 @@ fn damaged_messages_are_left_out_with_their_place() {
     let mut tape = tape.unwrap();
     for (k, (_, wrong)) in images.iter().enumerate() {
         match tape.next() {
-            TapeItem::Coded(coded) => {
+            Some(TapeItem::Coded(coded)) => {
                 assert_eq!(coded.header.map(|header| header.stamp.sequence), Some(k as u64));
                 assert!(wrong.is_empty(), "{k}");
             }
-            TapeItem::Damaged { what, why } => {
+            Some(TapeItem::Damaged { what, why }) => {
                 assert_eq!(what, format!("/flockeye/frame/image, message {k}"));
                 assert!(!wrong.is_empty() && why.contains(wrong), "{why}");
             }
-            TapeItem::End => panic!("ended before {k}"),
+            None => panic!("ended before {k}"),
         }
     }
-    let TapeItem::Damaged { why, .. } = tape.next() else { panic!("a picture without a header") };
+    let Some(TapeItem::Damaged { why, .. }) = tape.next() else {
+        panic!("a picture without a header")
+    };
     assert!(why.contains("no header"), "{why}");
 }
 

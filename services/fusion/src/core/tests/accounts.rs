@@ -1,10 +1,10 @@
 //! What the core notes where somebody asks.
 
 use super::*;
-use crate::account::{NotRun, Pass, Trial};
+use crate::account::{NotRun, Pass};
 use crate::decide::Verdict;
 use crate::decide::outcome::Outcome;
-use crate::hypothesis::Source;
+use crate::hypothesis::StartSource;
 
 /// What was decided of alpha in a frame since this was asked last.
 fn decided(core: &mut Core<Vec<u8>>, sequence: u64) -> Vec<AccountEntry> {
@@ -42,7 +42,7 @@ fn a_direct_pass_is_noted_with_its_hypothesis() {
     assert_eq!((trial.pass, trial.view_index, trial.is_confirmed), (Pass::Direct, Some(0), true));
     assert!(matches!(trial.outcome, Outcome::Published(_)), "{:?}", trial.outcome);
     let [hypothesis] = &trial.hypotheses[..] else { panic!("{trial:?}") };
-    assert_eq!(hypothesis.source, Source::Prediction);
+    assert_eq!(hypothesis.source, StartSource::Prediction);
     assert_eq!(trial.decision.reasons, [Verdict::Accepted]);
     // A grey picture shows nothing.
     let Event::View(header, mut pixels) = region(4, plan_id) else { unreachable!() };
@@ -73,7 +73,7 @@ fn a_corner_pass_is_noted_with_its_corners_and_hypotheses() {
     assert!(trial.corner_poses.iter().any(|pose| pose.is_chosen));
     assert!(matches!(trial.outcome, Outcome::Published(_)), "{:?}", trial.outcome);
     let accepted = trial.decision.hypothesis().map(|index| trial.hypotheses[index].source);
-    assert_eq!(accepted, Some(Source::Corners));
+    assert_eq!(accepted, Some(StartSource::Corners));
 }
 
 #[test]

@@ -2,7 +2,8 @@
 
 use super::*;
 
-/// A view of a place that looks like a body, without a marker that is decoded in it. It shows alpha.
+/// A view of a place that looks like a body, without a marker that is decoded in it. It shows
+/// alpha.
 fn proposal(sequence: u64) -> ViewHeader {
     let view = ViewHeader { kind: ViewKind::Proposal.code(), ..region_view(sequence, 0) };
     // The field of a proposal's view says how far away the body is.

@@ -15,13 +15,7 @@ const KEEPING: Keeping = Keeping {
 };
 
 /// Counts who holds it.
-type Hold = std::rc::Rc<Vec<u8>>;
-
-impl Pixels for Hold {
-    fn pixels(&self) -> &[u8] {
-        self
-    }
-}
+type Hold = std::rc::Rc<[u8]>;
 
 fn stamp(sequence: u64) -> FrameStamp {
     FrameStamp { sequence, ..FrameStamp::default() }
@@ -59,16 +53,27 @@ fn planned(keeping: Keeping) -> Frames<Hold> {
     frames
 }
 
-/// Completes the oldest frame and ends it, if it need not wait any more.
-fn take(frames: &mut Frames<Hold>, now_ns: i64) -> Option<(OpenFrame<Hold>, Completion)> {
-    let Work::CompleteFrame { order, reason } = frames.next_work(now_ns)? else { return None };
+/// Completes the oldest frame and ends it, if it need not wait any more. Says whether it is
+/// overdue.
+fn take(frames: &mut Frames<Hold>, now_ns: i64) -> Option<(OpenFrame<Hold>, bool)> {
+    let Work::CompleteFrame { order, is_overdue } = frames.next_work(now_ns)? else { return None };
     frames.complete(order);
     assert_eq!(frames.next_work(now_ns), Some(Work::MeasureFrame { order }));
-    frames.end(order).map(|frame| (frame, reason))
+    frames.end(order).map(|frame| (frame, is_overdue))
 }
 
 fn has_none(frames: &mut Frames<Hold>, now_ns: i64) -> bool {
     take(frames, now_ns).is_none()
+}
+
+#[test]
+fn old_plans_are_forgotten() {
+    let mut frames = planned(KEEPING);
+    let plan = plan();
+    (1..=100).for_each(|plan_id| frames.note_plan(plan_id, &plan));
+    assert_eq!(frames.plans.len(), REMEMBERED_PLANS);
+    assert_eq!(frames.plans[&100].views[0].purpose, Purpose::Partition(0));
+    assert_eq!((frames.views_of_plan(1), frames.newest_plan), (None, 100));
 }
 
 #[test]
@@ -77,13 +82,12 @@ fn a_frame_is_complete_when_all_its_views_are_in() {
     assert!(frames.add_record(record(0, 1), 0).is_some());
     frames.add_end(end(0, 2), 0);
     assert!(has_none(&mut frames, 1));
-    let printed = frames.get(stamp(0).order()).unwrap().to_string();
-    assert_eq!(printed, "frame 0, open: 1 of 2 views searched");
+    assert_eq!(frames.get(stamp(0).order()).unwrap().records.len(), 1);
     assert!(frames.add_record(record(0, 0), 2).is_some());
     assert!(frames.add_record(record(0, 0), 2).is_none(), "a second answer counts for nothing");
-    let (frame, reason) = take(&mut frames, 2).expect("complete");
-    assert_eq!((reason, frame.records.len()), (Completion::Whole, 2));
-    assert_eq!(frame.to_string(), "frame 0, complete: 2 of 2 views searched");
+    let (frame, is_overdue) = take(&mut frames, 2).expect("complete");
+    assert_eq!((is_overdue, frame.records.len()), (false, 2));
+    assert_eq!((frame.stamp.sequence, frame.phase), (0, Phase::Complete));
     assert!(frames.add_record(record(0, 5), 3).is_none(), "the frame takes nothing more");
 }
 
@@ -104,7 +108,7 @@ fn a_dead_stage_holds_a_frame_only_to_its_deadline() {
     frames.add_record(record(0, 0), 5);
     assert_eq!(frames.next_deadline_ns(), Some(1005));
     assert!(has_none(&mut frames, 1004));
-    assert_eq!(take(&mut frames, 1005).expect("overdue").1, Completion::Overdue);
+    assert!(take(&mut frames, 1005).expect("overdue").1);
 }
 
 #[test]
@@ -120,8 +124,8 @@ fn what_came_before_this_process_began_is_not_waited_for() {
     assert!(has_none(&mut frames, 2), "its records may still come");
     frames.add_end(end(7, 1), 3);
     let left = [(); 2].map(|()| take(&mut frames, 4).expect("both are complete"));
-    let left = left.map(|(frame, reason)| (frame.stamp.sequence, reason));
-    assert_eq!(left, [(6, Completion::Partial), (7, Completion::Whole)]);
+    let left = left.map(|(frame, is_overdue)| (frame.stamp.sequence, frame.is_whole(), is_overdue));
+    assert_eq!(left, [(6, false, false), (7, true, false)]);
     // What follows its own plan is waited for, whoever else is complete.
     assert!(frames.add_record(record(8, 1), 5).is_some());
     frames.add_end(end(8, 2), 5);
@@ -174,7 +178,7 @@ fn views_that_no_target_needs_are_released() {
     assert!(!frames.is_full());
     frames.answer(order, 3, own(3), false);
     assert_eq!(Hold::strong_count(&pixels), 3, "it shows a target");
-    frames.get_mut(order).unwrap().held.release(0);
+    frames.get_mut(order).unwrap().held.best.remove(&0);
     assert_eq!(Hold::strong_count(&pixels), 2, "the target is measured");
     drop(frames.end(order));
     assert_eq!(Hold::strong_count(&pixels), 1);
@@ -187,7 +191,7 @@ fn newer_frames_give_way_to_the_oldest() {
         frames.add_view(view(sequence, 0, ViewKind::Partition), Hold::default(), 0);
         frames.answer(stamp(sequence).order(), 0, own(0), false);
     }
-    let best = |sequence| frames.get(stamp(sequence).order()).unwrap().held.best_count();
+    let best = |sequence| frames.get(stamp(sequence).order()).unwrap().held.best.len();
     assert_eq!([1, 2, 3, 4].map(best), [1, 1, 0, 0]);
 }
 
@@ -201,7 +205,7 @@ fn a_flood_of_places_is_bounded_and_the_oldest_frame_keeps_its_own() {
             frames.add_view(ViewHeader { search, ..header }, Hold::default(), 0);
         }
     }
-    let places = |sequence| frames.get(stamp(sequence).order()).unwrap().places.count();
+    let places = |sequence| frames.get(stamp(sequence).order()).unwrap().places.views.len();
     assert_eq!([0, 1, 2].map(places), [100, MAX_PLACES - 100, 0]);
 }
 
@@ -214,14 +218,14 @@ fn regions_are_measured_in_the_order_in_which_they_came() {
     // A record that comes before the direct pass leaves its region held.
     let newer = stamp(4).order();
     frames.answer(newer, 2, own(2), true);
-    assert!(frames.get(newer).unwrap().held.unanswered(2).is_some());
+    assert!(frames.get(newer).unwrap().held.unanswered.contains_key(&2));
     let mut taken = Vec::new();
     while let Some(Work::MeasureRegions { order, .. }) = frames.next_work(0) {
         taken.push((order.2, frames.take_regions(order, 2)));
         frames.answer_seen(order);
     }
     assert_eq!(taken, [(4, vec![0, 1]), (4, vec![2]), (3, vec![5]), (4, vec![6])]);
-    assert!(frames.get(newer).unwrap().held.unanswered(2).is_none());
+    assert!(!frames.get(newer).unwrap().held.unanswered.contains_key(&2));
 }
 
 #[test]
@@ -232,7 +236,7 @@ fn a_pose_that_left_another_process_does_not_leave_again() {
     for sequence in [3, 4, 5] {
         frames.add_record(record(sequence, 0), 0);
     }
-    let left = |sequence| frames.get(stamp(sequence).order()).unwrap().parts.is_published(1);
+    let left = |sequence| is_published(&frames.get(stamp(sequence).order()).unwrap().parts, 1);
     assert_eq!([3, 4, 5].map(left), [true, true, false]);
     assert_eq!([0, 1].map(|target| frames.last_published(target)), [None, Some(stamp(4).order())]);
 }

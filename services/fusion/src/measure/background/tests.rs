@@ -2,11 +2,9 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 use super::*;
-use crate::measure::Row;
-use crate::measure::inputs::Permit;
+use crate::fixtures::alpha;
 use crate::track_prior::TrackPrior;
-use flockeye_geometry::body::squares;
-use flockeye_geometry::pose::PosePrior;
+use flockeye_geometry::pose::PoseEstimate;
 use flockeye_imaging::light::{CodeRange, TransferCurve};
 use nalgebra::{Matrix6, Vector3};
 
@@ -14,7 +12,7 @@ use nalgebra::{Matrix6, Vector3};
 fn with_requests(
     by: impl FnOnce(&mut BackgroundQueue, &dyn Fn(&mut BackgroundQueue, usize, bool) -> bool),
 ) {
-    let body = squares("alpha", 0.0625, 0.05, 0);
+    let body = alpha();
     let (pixels, light) =
         ([128; 64 * 64], LinearLight::new(TransferCurve::Srgb, CodeRange::Full).unwrap());
     let image = LumaImage::new(&pixels, 64, 64, 64).unwrap();
@@ -23,39 +21,30 @@ fn with_requests(
     let camera_from_markers = Isometry3::translation(1.0, 0.0, 0.0);
     let covariance = Matrix6::identity();
     let request = |queue: &mut BackgroundQueue, target: usize, is_tracked: bool| {
-        let inputs = Inputs {
+        let prior = match is_tracked {
+            true => TrackPrior::Confirmed(PoseEstimate { camera_from_markers, covariance }),
+            false => TrackPrior::Untracked,
+        };
+        let begun = Trial::of(Pass::Complete, &prior, TimeBudget::OneFrame);
+        let view = BestView { picture, view_index: 0, agreeing: 0, rays_m: f64::INFINITY };
+        let inputs = PassInputs {
             target,
             body: &body,
             decoded: Vec::new(),
             candidates: Vec::new(),
             rays_m: f64::INFINITY,
-            prior: match is_tracked {
-                true => TrackPrior::Confirmed(PosePrior { camera_from_markers, covariance }),
-                false => TrackPrior::Untracked,
-            },
-            best_view: Some(BestView {
-                picture,
-                view_index: 0,
-                agreeing: 0,
-                rays_m: f64::INFINITY,
-            }),
-            place: None,
-            permit: Permit {
-                row: Row::of(Pass::Complete),
-                budget: TimeBudget::OneFrame,
-                is_deferred: true,
-                may_search: false,
-            },
+            prior,
+            best_view: Some(view),
+            trial: Trial { is_deferred: true, ..begun },
+            may_search: false,
             part: None,
         };
-        queue.request(subject(target), &inputs)
+        queue.request(TIME, &inputs)
     };
     by(&mut BackgroundQueue::default(), &request);
 }
 
-fn subject(target: usize) -> Subject {
-    Subject { order: (0, 0, 0), at_s: 0.0, target }
-}
+const TIME: FrameTime = FrameTime { order: (0, 0, 0), at_s: 0.0, number: 0 };
 
 /// Ends what is under way without having found anything.
 fn finish(queue: &mut BackgroundQueue) {
@@ -63,8 +52,8 @@ fn finish(queue: &mut BackgroundQueue) {
     queue.finish();
 }
 
-fn under_way(queue: &BackgroundQueue) -> Option<Subject> {
-    queue.under_way.as_ref().map(|under_way| under_way.subject)
+fn under_way(queue: &BackgroundQueue) -> Option<(FrameTime, usize)> {
+    queue.under_way.as_ref().map(|under_way| (under_way.time, under_way.target))
 }
 
 #[test]
@@ -92,7 +81,7 @@ fn an_untracked_target_queues_behind_a_tracked_one() {
         assert!(request(queue, 1, false), "there is a place for one");
         assert!(!request(queue, 2, false) && !request(queue, 3, true));
         finish(queue);
-        assert_eq!(under_way(queue), Some(subject(1)));
+        assert_eq!(under_way(queue), Some((TIME, 1)));
         finish(queue);
         // Untracked targets do not queue behind each other: a tracked one would never get a turn.
         assert!(request(queue, 2, false));
@@ -111,10 +100,10 @@ fn an_untracked_target_queues_behind_a_tracked_one() {
 fn a_newer_frame_takes_the_place_of_the_one_that_waits() {
     with_requests(|queue, request| {
         assert!(request(queue, 0, true) && request(queue, 1, false));
-        queue.waiting.as_mut().expect("it waits").subject.at_s = -1.0;
+        queue.waiting.as_mut().expect("it waits").time.at_s = -1.0;
         assert!(request(queue, 1, false), "a newer frame");
         finish(queue);
-        assert_eq!(under_way(queue), Some(subject(1)));
+        assert_eq!(under_way(queue), Some((TIME, 1)));
     });
 }
 
@@ -126,10 +115,11 @@ fn the_answer_of_a_cancelled_pass_is_dropped() {
         assert!(queue.take_job().is_none(), "a job is run once");
         queue.cancel((0, 0, 0), 0);
         assert_eq!(queue.awaited(), None);
-        assert!(!queue.finish());
+        assert!(queue.finish().is_some_and(|finished| finished.is_cancelled));
         assert!(request(queue, 0, true));
         queue.take_job().expect("a job");
         queue.cancel((0, 0, 7), 0);
-        assert!(queue.finish(), "it was measured in another frame");
+        let finished = queue.finish().expect("it was under way");
+        assert!(!finished.is_cancelled, "it was measured in another frame");
     });
 }

@@ -32,9 +32,10 @@ fn region_pass(
 
 /// Runs the background pass that was asked for.
 fn run(tracker: &mut Tracking) -> Option<Update> {
-    let answer = tracker.take_job()?.run(&tracker.means.aligner);
-    let (tracker, parts) = tracker.open_parts(answer.subject.order.2);
-    tracker.background_answer(answer, parts).map(|(_, update)| update)
+    let answer = tracker.take_job()?.run(&tracker.aligner);
+    let order = tracker.under_way()?;
+    let (tracker, parts) = tracker.open_parts(order.2);
+    tracker.background_answer(*answer, parts).map(|(_, update)| update)
 }
 
 fn predicted(tracker: &Tracker, at_s: f64) -> Isometry3<f64> {

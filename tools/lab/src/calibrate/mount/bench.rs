@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 /// Where a body was put.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
-pub(super) struct Bench {
+pub(super) struct MeasuringBench {
     /// Which body; left out: the one that is seen, if it is one.
     #[serde(default)]
     pub body: Option<String>,
@@ -41,27 +41,18 @@ pub(super) struct BenchPlace {
     #[serde(default)]
     #[schemars(range(min = 0.00001, max = 1.0))]
     pub deviation_m: Option<f64>,
-    /// First and last frame of the source that show it, from 0; left out everywhere: one frame each, in order.
+    /// First and last frame of the source that show it, from 0; left out everywhere: one frame
+    /// each, in order.
     #[serde(default)]
     pub frames: Option<[u64; 2]>,
 }
 
-/// A place at which the camera saw the body.
-#[derive(Debug, Clone, PartialEq)]
-pub(super) struct SeenPlace {
-    /// Its number in the file, from 1.
-    pub number: usize,
-    /// Frames that counted, and frames with another pose.
-    pub frames: usize,
-    pub odd: usize,
-    pub measured: MeasuredPlace,
-}
-
-impl Bench {
+impl MeasuringBench {
     /// Refuses what no schema can.
     ///
     /// # Errors
-    /// Frames for some places only or the wrong way round, orientations that are none or have no deviation.
+    /// Frames for some places only or the wrong way round, orientations that are none or have no
+    /// deviation.
     pub(super) fn check(&self) -> anyhow::Result<()> {
         let with_frames = self.places.iter().filter(|place| place.frames.is_some()).count();
         ensure!(
@@ -106,39 +97,30 @@ impl Bench {
         }
     }
 
-    /// What the camera saw at each place; `None` where it saw nothing of the body. `configured` is the mount
-    /// that the poses were recorded with.
-    ///
-    /// # Errors
-    /// Poses without covariances.
+    /// What the camera saw at each place; `None` where it saw nothing of the body. `configured` is
+    /// the mount that the poses were recorded with.
     pub(super) fn see(
         &self,
         rows: &[PoseRow],
         body: &str,
         configured: &Isometry3<f64>,
-    ) -> anyhow::Result<Vec<Option<SeenPlace>>> {
+    ) -> anyhow::Result<Vec<Option<MeasuredPlace>>> {
         let places = (0u64..).zip(&self.places).map(|(index, place)| {
             let [first, last] = place.frames.unwrap_or([index, index]);
             let own = rows.iter().filter(|row| {
                 row.target == body && row.is_measured() && (first..=last).contains(&row.frame)
             });
             let poses: anyhow::Result<Vec<_>> = own.map(|row| in_camera(row, configured)).collect();
-            let Some(still) = still_pose(&poses?) else { return Ok(None) };
+            let Some(seen) = still_pose(&poses?) else { return Ok(None) };
             let turn_rad = self.orientation_deviation_deg.unwrap_or(0.0).to_radians();
             let turned = |orientation: [f64; 4]| {
                 (isometry(&Mount { position: [0.0; 3], orientation }).rotation, turn_rad)
             };
-            Ok(Some(SeenPlace {
-                number: index as usize + 1,
-                frames: still.frames,
-                odd: still.odd,
-                measured: MeasuredPlace {
-                    camera_from_target: still.camera_from_target,
-                    covariance: still.covariance,
-                    in_observer: place.position.into(),
-                    deviation_m: place.deviation_m.unwrap_or(self.deviation_m),
-                    orientation: place.orientation.map(turned),
-                },
+            Ok(Some(MeasuredPlace {
+                seen,
+                in_observer: place.position.into(),
+                deviation_m: place.deviation_m.unwrap_or(self.deviation_m),
+                orientation: place.orientation.map(turned),
             }))
         });
         places.collect()

@@ -31,16 +31,16 @@ fn mount_in(yaml: &str) -> Isometry3<f64> {
 const PLACES: [[f64; 3]; 5] =
     [[0.8, 0.0, 0.0], [0.1, 0.9, 0.2], [-0.7, -0.1, 0.0], [0.0, -0.8, -0.3], [0.5, 0.5, 0.6]];
 
-fn bench() -> Bench {
+fn bench() -> MeasuringBench {
     let places = PLACES.map(|[x, y, z]| format!("{{position: [{x}, {y}, {z}]}}")).join(", ");
     parse(&format!("deviation_m: 0.002\nplaces: [{places}]")).unwrap()
 }
 
-fn parse(yaml: &str) -> anyhow::Result<Bench> {
+fn parse(yaml: &str) -> anyhow::Result<MeasuringBench> {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("places.yaml");
     std::fs::write(&path, yaml).unwrap();
-    let bench: Bench = read_document(&path)?;
+    let bench: MeasuringBench = read_document(&path)?;
     bench.check()?;
     Ok(bench)
 }
@@ -76,7 +76,7 @@ fn rows() -> Vec<PoseRow> {
 #[test]
 fn what_is_printed_can_be_pasted_and_is_the_mount() {
     let (real, configured) = mounts();
-    let report = Report::of(&bench(), &rows(), configured).unwrap();
+    let report = MountReport::of(&bench(), &rows(), configured).unwrap();
     let printed = report.text();
     let yaml = printed.split_once("for pipeline.yaml:\n").unwrap().1;
     let read = mount_in(yaml);
@@ -94,15 +94,15 @@ fn places_without_a_pose_and_wrong_ones_are_named() {
     let (real, configured) = mounts();
     let mut rows = rows();
     rows.remove(1);
-    let text = Report::of(&bench(), &rows, configured).unwrap().text();
+    let text = MountReport::of(&bench(), &rows, configured).unwrap().text();
     assert!(text.contains("place 2: the body has no pose there"), "{text}");
     rows.truncate(2);
-    let error = Report::of(&bench(), &rows, configured).err().unwrap().to_string();
+    let error = MountReport::of(&bench(), &rows, configured).err().unwrap().to_string();
     assert!(error.contains("2 places with a pose") && error.contains("[2, 4, 5]"), "{error}");
     // The third place was written down wrongly.
     let mut bench = bench();
     bench.places[2].position[0] += 0.1;
-    let report = Report::of(&bench, &self::rows(), configured).unwrap();
+    let report = MountReport::of(&bench, &self::rows(), configured).unwrap();
     let text = report.text();
     assert!(text.contains("contradicts the others: left out"), "{text}");
     assert!(!report.found.places[2].is_kept);
@@ -121,8 +121,9 @@ fn frames_of_a_place_are_those_of_the_file() {
     }
     // In one of them the body was still in a hand; the sixth is of no place.
     rows[2] = row(2, "alpha", [0.9, 0.1, 0.1]);
-    let report = Report::of(&bench, &rows, configured).unwrap();
-    assert_eq!((report.seen[0].frames, report.seen[0].odd, report.seen[1].frames), (4, 1, 5));
+    let report = MountReport::of(&bench, &rows, configured).unwrap();
+    let [first, second] = [0, 1].map(|k| &report.seen[k].1);
+    assert_eq!((first.frames, first.odd, second.frames), (4, 1, 5));
     assert!(report.text().contains("place 1: 1 frames have another pose"), "{}", report.text());
 }
 

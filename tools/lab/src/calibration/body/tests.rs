@@ -57,8 +57,8 @@ fn root_mean_square(errors: &[Vector6<f64>], from: usize) -> f64 {
     (squares.sum::<f64>() / errors.len() as f64).sqrt()
 }
 
-/// Recordings of each case: one alone has a NEES that spreads by 18 % (70 seeds), because markers' errors
-/// go together, and 0.46 was seen by chance.
+/// Recordings of each case: one alone has a NEES that spreads by 18 % (70 seeds), because markers'
+/// errors go together, and 0.46 was seen by chance.
 const RECORDINGS: usize = 4;
 
 proptest! {
@@ -73,7 +73,7 @@ proptest! {
         for _ in 0..RECORDINGS {
             let truth = glued(&designed, &mut chance);
             let frames = recorded(&truth, 250, 1e-4, &mut chance);
-            let found = calibrate(&designed, &frames, &CalibrationOptions::default()).unwrap();
+            let found = calibrate(&designed, &frames).unwrap();
             prop_assert_eq!(found.markers.len(), 17);
             let truth = aligned(&truth, &designed);
             let errors = |body: &Body| -> Vec<_> {
@@ -111,7 +111,7 @@ fn wrong_rays_are_outweighed() {
         let aside = Vector3::ith(k % 3, 1e-3);
         ray.ray_in_camera = nalgebra::Unit::new_normalize(ray.ray_in_camera.into_inner() + aside);
     }
-    let found = calibrate(&designed, &frames, &CalibrationOptions::default()).unwrap();
+    let found = calibrate(&designed, &frames).unwrap();
     let truth = aligned(&truth, &designed);
     let errors: Vec<_> =
         truth.iter().zip(&found.body.markers).map(|(truth, found)| left(truth, found)).collect();
@@ -133,7 +133,7 @@ fn markers_seen_too_seldom_stay_as_designed() {
         }
         left -= usize::from(has && left > 0);
     }
-    let found = calibrate(&designed, &frames, &CalibrationOptions::default()).unwrap();
+    let found = calibrate(&designed, &frames).unwrap();
     assert_eq!((found.markers.len(), found.left.len()), (16, 1));
     assert!(found.left[0].0 == 3 && found.left[0].1 <= 4, "{:?}", found.left);
     assert_eq!(found.body.markers[3], designed.markers[3]);
@@ -143,9 +143,8 @@ fn markers_seen_too_seldom_stay_as_designed() {
 fn what_is_missing_is_said() {
     let mut chance = Chance::new(7);
     let designed = squares("alpha", 0.0625, 0.05, 0);
-    let options = CalibrationOptions::default();
     let few = recorded(&designed, 9, 1e-4, &mut chance);
-    let error = calibrate(&designed, &few, &options).unwrap_err().to_string();
+    let error = calibrate(&designed, &few).unwrap_err().to_string();
     assert!(error.contains("'alpha'") && error.contains("30 are needed"), "{error}");
     // Top and ring in some frames, the lower ring in others, never both.
     let mut frames = recorded(&designed, 300, 1e-4, &mut chance);
@@ -158,6 +157,6 @@ fn what_is_missing_is_said() {
             },
         );
     }
-    let error = calibrate(&designed, &frames, &options).unwrap_err().to_string();
+    let error = calibrate(&designed, &frames).unwrap_err().to_string();
     assert!(error.contains("[13, 14, 15, 16]") && error.contains("with marker 0"), "{error}");
 }

@@ -1,44 +1,29 @@
 //! The adjustment of the lenses and of all frames' poses.
 
-use nalgebra::{DMatrix, DVector, Isometry3, Matrix6, UnitQuaternion, Vector2, Vector3, Vector6};
+use nalgebra::{
+    DMatrix, DVector, Isometry3, Matrix6, Point3, UnitQuaternion, Vector2, Vector3, Vector6,
+};
 
-use super::seam::SeamFrame;
-use crate::calibration::descent::Adjust;
-use crate::calibration::sight::{ROBUST_SCALE, by_motion, damped, moved, spread, weighted_share};
+use crate::calibration::descent::{Adjust, BundleFrame, Equations, Reduced};
+use crate::calibration::weighted_ray::{
+    ROBUST_SCALE, WeightedRay, by_motion, damped, moved, spread, weighted_share,
+};
 
 /// Frames whose rays are off by so many times as much as those of all frames have a wrong pose.
 const MISFIT: f64 = 4.0;
 
-/// What is unknown of the lenses.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Unknowns {
-    /// The distance between them along the camera's x axis; the middle stays.
-    Distance,
-    /// Shift and turn of the second; the first stays.
-    SecondLens,
+/// A marker as one lens sees it.
+pub(super) struct LensSighting {
+    pub lens: usize,
+    pub corners: [Point3<f64>; 4],
+    pub rays: [WeightedRay; 4],
 }
 
-impl Unknowns {
-    /// How a lens moves with each of them: shift, then turn, in the camera's axes.
-    fn motion(self, lens: usize) -> DMatrix<f64> {
-        let mut motion = match self {
-            Self::Distance => DMatrix::zeros(6, 1),
-            Self::SecondLens => DMatrix::zeros(6, 6),
-        };
-        match (self, lens) {
-            (Self::Distance, 0) => motion[(0, 0)] = 0.5,
-            (Self::Distance, _) => motion[(0, 0)] = -0.5,
-            (Self::SecondLens, 0) => {}
-            (Self::SecondLens, _) => motion.fill_with_identity(),
-        }
-        motion
-    }
+/// A frame in which a body spans the seam.
+pub(super) type SeamFrame = BundleFrame<LensSighting>;
 
-    /// How the second lens moves against the first.
-    fn relative(self) -> DMatrix<f64> {
-        self.motion(1) - self.motion(0)
-    }
-}
+/// A block and a gradient of the lenses, and a joint block for each frame.
+type LensEquations = Equations<(DMatrix<f64>, DVector<f64>), DMatrix<f64>>;
 
 /// Everything that is adjusted together.
 pub(super) struct Adjustment {
@@ -47,53 +32,46 @@ pub(super) struct Adjustment {
     pub positions: [Vector3<f64>; 2],
     /// How the second is turned against what was configured.
     pub second_turn: UnitQuaternion<f64>,
-    unknowns: Unknowns,
+    /// How each lens moves with the unknowns: shift, then turn, in the camera's axes.
     motions: [DMatrix<f64>; 2],
     /// Scale of the robust cost, in stated deviations.
     scale: f64,
 }
 
 /// A step of the lenses, and of each frame: shift, then turn.
-pub(super) type Steps = (DVector<f64>, Vec<Vector6<f64>>);
-
-/// The normal equations, with the frames' part kept apart.
-pub(super) struct Equations {
-    lenses: (DMatrix<f64>, DVector<f64>),
-    /// Block, gradient, and block with the lenses, of each frame.
-    frames: Vec<(Matrix6<f64>, Vector6<f64>, DMatrix<f64>)>,
-    /// Sum of weighted squared errors, and number of rays.
-    squares: f64,
-    rays: usize,
-}
-
-/// The equations of the lenses alone (Schur's complement), with the inverses of the frames' own blocks.
-struct Reduced {
-    matrix: DMatrix<f64>,
-    gradient: DVector<f64>,
-    inverses: Vec<Matrix6<f64>>,
-}
+type Steps = (DVector<f64>, Vec<Vector6<f64>>);
 
 impl Adjustment {
-    pub(super) fn new(
+    /// Unknown is the distance of the lenses along the camera's x axis. The middle stays.
+    pub(super) fn of_distance(positions: [Vector3<f64>; 2], frames: Vec<SeamFrame>) -> Self {
+        let motions = [0.5, -0.5].map(|share| {
+            let mut motion = DMatrix::zeros(6, 1);
+            motion[(0, 0)] = share;
+            motion
+        });
+        Self::new(positions, motions, frames)
+    }
+
+    /// Unknown are shift and turn of the second lens. The first stays.
+    pub(super) fn of_second_lens(positions: [Vector3<f64>; 2], frames: Vec<SeamFrame>) -> Self {
+        Self::new(positions, [DMatrix::zeros(6, 6), DMatrix::identity(6, 6)], frames)
+    }
+
+    fn new(
         positions: [Vector3<f64>; 2],
-        unknowns: Unknowns,
+        motions: [DMatrix<f64>; 2],
         frames: Vec<SeamFrame>,
     ) -> Self {
-        Self {
-            frames,
-            positions,
-            second_turn: UnitQuaternion::identity(),
-            unknowns,
-            motions: [0, 1].map(|lens| unknowns.motion(lens)),
-            scale: ROBUST_SCALE,
-        }
+        let second_turn = UnitQuaternion::identity();
+        Self { frames, positions, second_turn, motions, scale: ROBUST_SCALE }
     }
 
     fn turn(&self, lens: usize) -> UnitQuaternion<f64> {
         if lens == 1 { self.second_turn } else { UnitQuaternion::identity() }
     }
 
-    /// Adjusts the frames' poses alone, and gives the errors that remain then, in stated deviations.
+    /// Adjusts the frames' poses alone, and gives the errors that remain then, in stated
+    /// deviations.
     pub(super) fn scatter_as_configured(&mut self) -> f64 {
         let motions = std::mem::replace(&mut self.motions, [0, 1].map(|_| DMatrix::zeros(6, 0)));
         self.adjust();
@@ -103,22 +81,22 @@ impl Adjustment {
         scatter.unwrap_or(f64::INFINITY)
     }
 
-    /// Errors of all rays to their body points as seen from their lenses, each with its lens, in the
-    /// axes that its rays are given in.
+    /// Errors of all rays to their body points as seen from their lenses, each with its lens, in
+    /// the axes that its rays are given in.
     fn errors_of(&self, frame: &SeamFrame) -> impl Iterator<Item = (usize, Vector2<f64>)> {
         frame.sightings.iter().flat_map(move |seen| {
             let from_camera = self.turn(seen.lens).inverse();
-            let corners = seen.sights.iter().zip(&seen.corners);
-            corners.map(move |(sight, corner)| {
+            let corners = seen.rays.iter().zip(&seen.corners);
+            corners.map(move |(ray, corner)| {
                 let in_camera = (frame.camera_from_markers * corner).coords;
                 let from_lens = in_camera - self.positions[seen.lens];
-                (seen.lens, sight.error(&(from_camera * from_lens)))
+                (seen.lens, ray.error(&(from_camera * from_lens)))
             })
         })
     }
 
-    /// Leaves out frames in which the rays of either lens are off by far more than all rays are, and says how
-    /// many: their pose is a wrong one.
+    /// Leaves out frames in which the rays of either lens are off by far more than all rays are,
+    /// and says how many: their pose is a wrong one.
     pub(super) fn leave_out_misfits(&mut self) -> usize {
         let limit = MISFIT * spread(self.errors()).max(1.0);
         let fits = |frame: &SeamFrame| {
@@ -134,8 +112,8 @@ impl Adjustment {
         before - self.frames.len()
     }
 
-    fn reduced(equations: &Equations, damping: f64) -> Option<Reduced> {
-        let (mut matrix, mut gradient) = equations.lenses.clone();
+    fn reduced(equations: &LensEquations, damping: f64) -> Option<Reduced> {
+        let (mut matrix, mut gradient) = equations.shared.clone();
         for k in 0..matrix.nrows() {
             matrix[(k, k)] *= 1.0 + damping;
         }
@@ -151,7 +129,7 @@ impl Adjustment {
     }
 
     /// Errors that remain, in stated deviations.
-    fn scatter(&self, equations: &Equations, unknown: usize) -> Option<f64> {
+    fn scatter(&self, equations: &LensEquations, unknown: usize) -> Option<f64> {
         let unknowns = 6 * self.frames.len() + unknown;
         let freedom = (2 * equations.rays).checked_sub(unknowns).filter(|&left| left > 0)?;
         // Frames with few rays take much of the errors themselves, so weights take less.
@@ -164,13 +142,14 @@ impl Adjustment {
         Some((0..20).fold(squares.sqrt(), |scatter, _| of(scatter)))
     }
 
-    /// The covariance of the second lens against the first, shift and turn in the camera's axes, and the errors
-    /// that remain, in stated deviations.
+    /// The covariance of the second lens against the first, shift and turn in the camera's axes,
+    /// and the errors that remain, in stated deviations.
     pub(super) fn covariance(&self) -> Option<(Matrix6<f64>, f64)> {
         let equations = self.equations();
         let scatter = self.scatter(&equations, self.motions[0].ncols())?;
         let inverse = Self::reduced(&equations, 0.0)?.matrix.cholesky()?.inverse();
-        let relative = self.unknowns.relative();
+        // How the second lens moves against the first.
+        let relative = &self.motions[1] - &self.motions[0];
         let whole = &relative * inverse * relative.transpose();
         let covariance: Matrix6<f64> = whole.fixed_view::<6, 6>(0, 0).into_owned();
         let is_sound = covariance.iter().all(|number| number.is_finite());
@@ -179,7 +158,7 @@ impl Adjustment {
 }
 
 impl Adjust for Adjustment {
-    type Equations = Equations;
+    type Equations = LensEquations;
     type Step = Steps;
     type Unknowns = (Vec<Isometry3<f64>>, [Vector3<f64>; 2], UnitQuaternion<f64>);
 
@@ -219,10 +198,10 @@ impl Adjust for Adjustment {
         (self.positions, self.second_turn) = (positions, second_turn);
     }
 
-    fn equations(&self) -> Equations {
+    fn equations(&self) -> LensEquations {
         let count = self.motions[0].ncols();
         let mut equations = Equations {
-            lenses: (DMatrix::zeros(count, count), DVector::zeros(count)),
+            shared: (DMatrix::zeros(count, count), DVector::zeros(count)),
             frames: Vec::with_capacity(self.frames.len()),
             squares: 0.0,
             rays: 0,
@@ -233,11 +212,11 @@ impl Adjust for Adjustment {
             for seen in &frame.sightings {
                 let from_camera = self.turn(seen.lens).inverse().to_rotation_matrix();
                 let motion = &self.motions[seen.lens];
-                for (sight, corner) in seen.sights.iter().zip(&seen.corners) {
+                for (ray, corner) in seen.rays.iter().zip(&seen.corners) {
                     let arm = frame.camera_from_markers.rotation * corner.coords;
                     let in_camera = arm + frame.camera_from_markers.translation.vector;
                     let from_lens = in_camera - self.positions[seen.lens];
-                    let (error, by_point) = sight.linearized(&(from_camera * from_lens));
+                    let (error, by_point) = ray.linearized(&(from_camera * from_lens));
                     let by_point = by_point * from_camera.matrix();
                     let by_frame = by_motion(&by_point, &arm);
                     // What moves a lens moves everything the other way.
@@ -249,8 +228,8 @@ impl Adjust for Adjustment {
                     own += of_frame * by_frame;
                     gradient += of_frame * error;
                     joint += of_frame * &by_lenses;
-                    equations.lenses.0 += &of_lenses * &by_lenses;
-                    equations.lenses.1 += &of_lenses * error;
+                    equations.shared.0 += &of_lenses * &by_lenses;
+                    equations.shared.1 += &of_lenses * error;
                     equations.squares += weight * squared;
                     equations.rays += 1;
                 }
@@ -261,7 +240,7 @@ impl Adjust for Adjustment {
     }
 
     /// The damped step of the lenses and of every frame.
-    fn step(&self, equations: &Equations, damping: f64) -> Option<Steps> {
+    fn step(&self, equations: &LensEquations, damping: f64) -> Option<Steps> {
         let Reduced { matrix, gradient, inverses } = Self::reduced(equations, damping)?;
         let lenses = match gradient.len() {
             0 => gradient,

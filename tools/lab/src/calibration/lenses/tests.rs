@@ -17,7 +17,8 @@ fn stitched(lens_distance_m: f64) -> Camera {
     Camera::new(3840, 1920, model).unwrap().at_distance(ASSUMED_M)
 }
 
-/// Two equidistant lenses, 8 mm before and behind the middle; the second moved and turned by a step.
+/// Two equidistant lenses, 8 mm before and behind the middle; the second moved and turned by a
+/// step.
 fn fisheyes(step: &Vector6<f64>) -> Camera {
     let lens = |ahead: f64, u: f64| {
         let direction = Vector3::x() * ahead;
@@ -29,7 +30,8 @@ fn fisheyes(step: &Vector6<f64>) -> Camera {
         Lens::equidistant(pose, Vector2::new(u, 959.5), 955.0, field_rad)
     };
     let mut lenses = [lens(1.0, 959.5), lens(-1.0, 2879.5)];
-    lenses[1].camera_from_lens = super::super::sight::moved(&lenses[1].camera_from_lens, step);
+    lenses[1].camera_from_lens =
+        crate::calibration::weighted_ray::moved(&lenses[1].camera_from_lens, step);
     Camera::new(3840, 1920, CameraModel::DualFisheye(lenses)).unwrap().at_distance(ASSUMED_M)
 }
 
@@ -95,7 +97,8 @@ fn step(chance: &mut Chance) -> Vector6<f64> {
 
 const AROUND: [f64; 2] = [0.0, std::f64::consts::TAU];
 
-/// Squared errors in stated variances, summed over many cameras: six for each of them if these are right.
+/// Squared errors in stated variances, summed over many cameras: six for each of them if these are
+/// right.
 #[test]
 fn the_second_lens_is_found_within_its_covariance() {
     let cameras = 30;
@@ -174,10 +177,7 @@ fn what_is_missing_is_said() {
     );
     let one =
         Camera::new(1000, 1000, CameraModel::Stereographic { field_rad: 300f64.to_radians() });
-    assert_eq!(
-        calibrate(&one.unwrap(), &[body()], &few).unwrap_err(),
-        LensCalibrationError::OneCentre
-    );
+    assert_eq!(calibrate(&one.unwrap(), &[body()], &few).unwrap_err(), CalibrationError::OneCentre);
     // Rays too rough to tell, at one place of the seam only.
     let mut rough = recorded(&real, &believed, 120, [0.0, 0.1], &mut chance);
     for ray in rough.iter_mut().flatten() {

@@ -2,7 +2,7 @@
 
 use nalgebra::{Isometry3, Matrix6, Vector6};
 
-use crate::calibration::sight::{difference, moved};
+use crate::calibration::weighted_ray::{difference, moved};
 use flockeye_geometry::filter::chi_square_gate;
 
 /// A frame farther from the others than one right one in so many is not of the same pose.
@@ -21,14 +21,15 @@ pub struct StillPose {
     pub odd: usize,
 }
 
-/// The pose of a body that stands still, from those of several frames, each with its covariance: position (m),
-/// then rotation vector (rad), both in the camera's axes. `None` without a frame, or where a covariance has no
-/// inverse.
+/// The pose of a body that stands still, from those of several frames, each with its covariance:
+/// position (m), then rotation vector (rad), both in the camera's axes. `None` without a frame, or
+/// where a covariance has no inverse.
 pub fn still_pose(frames: &[(Isometry3<f64>, Matrix6<f64>)]) -> Option<StillPose> {
     let informations: Option<Vec<Matrix6<f64>>> =
         frames.iter().map(|(_, covariance)| covariance.try_inverse()).collect();
     let informations = informations?;
-    // Two poses are apart by the sum of their covariances; half of the one's information is about that.
+    // Two poses are apart by the sum of their covariances; half of the one's information is about
+    // that.
     let apart = |a: usize, b: usize| {
         let step = difference(&frames[a].0, &frames[b].0);
         step.dot(&((informations[a] + informations[b]) * step)) / 4.0

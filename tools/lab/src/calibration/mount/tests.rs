@@ -45,8 +45,12 @@ fn places(
         let noise_m = Vector3::from(chance.normals::<3>()) * PLACE_M;
         let turn = UnitQuaternion::from_scaled_axis(Vector3::from(chance.normals::<3>()) * 0.02);
         MeasuredPlace {
-            camera_from_target: moved(&truth, &noise),
-            covariance,
+            seen: StillPose {
+                camera_from_target: moved(&truth, &noise),
+                covariance,
+                frames: 1,
+                odd: 0,
+            },
             in_observer: (observer_from_target.translation.vector + noise_m).into(),
             deviation_m: PLACE_M,
             orientation: with_orientation.then(|| (turn * observer_from_target.rotation, 0.02)),
@@ -91,7 +95,7 @@ fn without_noise_the_mount_is_exact() {
     let mut exact = places(&truth, 4, true, &mut chance);
     for place in &mut exact {
         let (orientation, deviation) = place.orientation.unwrap();
-        place.camera_from_target =
+        place.seen.camera_from_target =
             truth.inverse() * Isometry3::from_parts(place.in_observer.coords.into(), orientation);
         place.orientation = Some((orientation, deviation));
     }
@@ -145,7 +149,8 @@ fn nobody_says_which_of_four_is_wrong_when_two_may_be() {
     let mut places = places(&truth, 4, false, &mut chance);
     places[0].in_observer.y += 0.08;
     let found = fit(&places).unwrap();
-    // Three places always agree within six of nine numbers, more or less: none of them is accused wrongly.
+    // Three places always agree within six of nine numbers, more or less: none of them is accused
+    // wrongly.
     assert!(found.places.iter().skip(1).all(|place| place.is_kept), "{:?}", found.places);
     assert!(!found.places[0].is_kept || found.agreement == Agreement::Worse);
 }
@@ -165,7 +170,8 @@ fn places_that_do_not_tell_are_refused_with_the_cure() {
                 (truth.inverse() * in_observer).coords.into(),
                 UnitQuaternion::identity(),
             );
-            MeasuredPlace { in_observer, camera_from_target: seen, ..place.clone() }
+            let seen = StillPose { camera_from_target: seen, ..place.seen.clone() };
+            MeasuredPlace { in_observer, seen, ..place.clone() }
         };
         all.iter().zip(positions).map(place).collect()
     };

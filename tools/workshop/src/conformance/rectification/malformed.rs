@@ -3,15 +3,11 @@
 use flockeye_contract::{FrameHeader, PlanHeader, PlannedView, StopRule};
 use flockeye_runtime::clock;
 
-use super::{Bench, PAGE, Report, STALE, Script, TAKEN_UP};
+use super::{Bench, PAGE, STALE, Script, TAKEN_UP};
 
 impl Script<'_> {
     /// What nobody should send costs nothing but itself.
-    pub(super) fn malformed(
-        &mut self,
-        bench: &mut Bench,
-        report: &mut Report,
-    ) -> anyhow::Result<()> {
+    pub(super) fn malformed(&mut self, bench: &mut Bench) -> anyhow::Result<()> {
         let honest = self.frame();
         for frame in [
             FrameHeader { height: 60_000, ..honest },
@@ -21,7 +17,7 @@ impl Script<'_> {
         ] {
             self.frames.send(frame, &self.picture)?;
             bench.pass(TAKEN_UP)?;
-            if !self.goes_on(bench, report, &format!("{frame:?}"))? {
+            if !self.goes_on(bench, &format!("{frame:?}"))? {
                 return Ok(());
             }
         }
@@ -49,15 +45,15 @@ impl Script<'_> {
             };
             self.plans.send(plan, &[view])?;
             // It is ended, by whatever plan.
-            self.fly(bench, report, |_| Some(0))?;
-            if !self.goes_on(bench, report, &format!("{view:?}"))? {
+            self.fly(bench, |_| Some(0))?;
+            if !self.goes_on(bench, &format!("{view:?}"))? {
                 return Ok(());
             }
         }
         bench.pass(STALE)?;
-        let (_, told) = self.fly(bench, report, |_| Some(0))?;
+        let (_, told) = self.fly(bench, |_| Some(0))?;
         for cut in &told.views {
-            report.field(
+            bench.report.field(
                 "a plan older than 1 s is not followed",
                 PAGE,
                 "plan_id",
@@ -69,19 +65,14 @@ impl Script<'_> {
     }
 
     /// Whether a frame with a good plan is cut after what was malformed.
-    fn goes_on(
-        &mut self,
-        bench: &mut Bench,
-        report: &mut Report,
-        after: &str,
-    ) -> anyhow::Result<bool> {
+    fn goes_on(&mut self, bench: &mut Bench, after: &str) -> anyhow::Result<bool> {
         self.plan(1, StopRule::All)?;
-        let (_, told) = self.fly(bench, report, |_| Some(0))?;
+        let (_, told) = self.fly(bench, |_| Some(0))?;
         let goes_on = !told.views.is_empty();
         let page = "What every stage owes";
-        report.holds("malformed frames and plans cost nothing else", page, goes_on, || {
+        bench.report.holds("malformed frames and plans cost nothing else", page, goes_on, || {
             format!("the next frame had no view after {after}")
         });
-        Ok(goes_on && bench.runs(report))
+        Ok(goes_on && bench.runs())
     }
 }

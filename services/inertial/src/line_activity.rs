@@ -6,13 +6,9 @@ use crate::message::MessageKind;
 /// needs to answer.
 const SILENT_NS: i64 = 3_000_000_000;
 
-/// Watches the line.
-#[derive(Debug, Clone, Copy, Default)]
-pub(crate) struct LineWatch(LineState);
-
 /// What is known of the line.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-enum LineState {
+pub(crate) enum LineActivity {
     /// It is not there.
     #[default]
     Lost,
@@ -33,34 +29,33 @@ pub(crate) enum LineChange {
     Silent,
 }
 
-impl LineWatch {
+impl LineActivity {
     /// The line was opened at `now_ns`.
     pub(crate) fn open(&mut self, now_ns: i64) {
-        self.0 = LineState::Silent { since_ns: now_ns, is_reported: false };
+        *self = Self::Silent { since_ns: now_ns, is_reported: false };
     }
 
-    /// The line was lost.
     pub(crate) fn lose(&mut self) {
-        self.0 = LineState::Lost;
+        *self = Self::Lost;
     }
 
     /// What has changed until `now_ns`, when the newest samples came in the message `newest`;
     /// `None`: they are too old.
     pub(crate) fn check(&mut self, newest: Option<MessageKind>, now_ns: i64) -> Option<LineChange> {
-        let change = match (self.0, newest) {
-            (LineState::Silent { .. }, Some(kind)) => {
-                self.0 = LineState::Active;
+        let change = match (*self, newest) {
+            (Self::Silent { .. }, Some(kind)) => {
+                *self = Self::Active;
                 return Some(LineChange::Active(kind));
             }
-            (LineState::Active, None) => LineChange::Stopped,
-            (LineState::Silent { since_ns, is_reported: false }, None)
+            (Self::Active, None) => LineChange::Stopped,
+            (Self::Silent { since_ns, is_reported: false }, None)
                 if now_ns - since_ns > SILENT_NS =>
             {
                 LineChange::Silent
             }
             _ => return None,
         };
-        self.0 = LineState::Silent { since_ns: now_ns, is_reported: true };
+        *self = Self::Silent { since_ns: now_ns, is_reported: true };
         Some(change)
     }
 }
@@ -71,7 +66,7 @@ mod tests {
 
     #[test]
     fn silence_is_reported_once_and_samples_when_they_begin() {
-        let mut line = LineWatch::default();
+        let mut line = LineActivity::default();
         assert_eq!(line.check(None, 9 * SILENT_NS), None, "it is not there");
         line.open(0);
         assert_eq!(line.check(None, SILENT_NS), None);

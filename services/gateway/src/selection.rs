@@ -6,20 +6,21 @@ use flockeye_contract::FrameStamp;
 
 /// Maximum decisions that are kept: more tracks of those frames may come.
 const REMEMBERED: usize = 16;
-/// A frame that comes earlier than it is due, by this share of the period, is reported: exposures are not evenly spaced.
+/// A frame that comes earlier than it is due, by this share of the period, is reported: exposures
+/// are not evenly spaced.
 const EARLY: i64 = 4;
 
 /// Decides on each frame once, so that it is reported as a whole or not at all.
 #[derive(Debug, Default)]
-pub(crate) struct Pace {
+pub(crate) struct FrameSelection {
     /// From report to report, nanoseconds. `None`: each frame is reported.
     period_ns: Option<i64>,
     due_ns: i64,
     decided: VecDeque<(FrameStamp, bool)>,
 }
 
-impl Pace {
-    /// A pace of at most `hz` frames a second on the average. `None`: all of them.
+impl FrameSelection {
+    /// A selection of at most `hz` frames a second on the average. `None`: all of them.
     pub(crate) fn new(hz: Option<f64>) -> Self {
         Self { period_ns: hz.map(|hz| (1e9 / hz) as i64), ..Self::default() }
     }
@@ -57,16 +58,16 @@ mod tests {
         FrameStamp { sequence, ..FrameStamp::default() }
     }
 
-    /// Frames that are reported of `count` at `frame_hz`, whose exposures are off by up to a tenth of the time
-    /// between them.
+    /// Frames that are reported of `count` at `frame_hz`, whose exposures are off by up to a tenth
+    /// of the time between them.
     fn reported(report_hz: f64, frame_hz: f64, count: u64, seed: u64) -> usize {
-        let mut pace = Pace::new(Some(report_hz));
+        let mut selection = FrameSelection::new(Some(report_hz));
         let exposure_ns = |sequence: u64| {
             let off =
                 (sequence ^ seed).wrapping_mul(0x9e37_79b9_7f4a_7c15) as f64 / u64::MAX as f64;
             ((sequence as f64 + 0.2 * (off - 0.5)) * 1e9 / frame_hz) as i64
         };
-        let admitted = (0..count).filter(|k| pace.admits(&stamp(*k), exposure_ns(*k)));
+        let admitted = (0..count).filter(|k| selection.admits(&stamp(*k), exposure_ns(*k)));
         admitted.count()
     }
 
@@ -88,26 +89,26 @@ mod tests {
 
     #[test]
     fn all_that_is_said_of_a_frame_is_reported_or_nothing() {
-        let mut pace = Pace::new(Some(10.0));
+        let mut selection = FrameSelection::new(Some(10.0));
         let ms = 1_000_000;
-        assert!(pace.admits(&stamp(0), 0));
-        assert!(!pace.admits(&stamp(1), 33 * ms));
-        assert!(pace.admits(&stamp(0), 0), "its other half, late");
-        assert!(pace.admits(&stamp(3), 100 * ms));
-        assert!(!pace.admits(&stamp(1), 33 * ms));
+        assert!(selection.admits(&stamp(0), 0));
+        assert!(!selection.admits(&stamp(1), 33 * ms));
+        assert!(selection.admits(&stamp(0), 0), "its other half, late");
+        assert!(selection.admits(&stamp(3), 100 * ms));
+        assert!(!selection.admits(&stamp(1), 33 * ms));
     }
 
     #[test]
     fn a_source_that_begins_anew_is_reported_at_once() {
-        let mut pace = Pace::new(Some(1.0));
-        assert!(pace.admits(&stamp(500), 100_000_000_000));
+        let mut selection = FrameSelection::new(Some(1.0));
+        assert!(selection.admits(&stamp(500), 100_000_000_000));
         let anew = FrameStamp { epoch: 1, ..stamp(0) };
-        assert!(pace.admits(&anew, 0));
+        assert!(selection.admits(&anew, 0));
     }
 
     #[test]
     fn without_a_rate_all_are_reported() {
-        let mut pace = Pace::new(None);
-        assert!((0..100).all(|k| pace.admits(&stamp(k), k as i64)));
+        let mut selection = FrameSelection::new(None);
+        assert!((0..100).all(|k| selection.admits(&stamp(k), k as i64)));
     }
 }

@@ -1,76 +1,46 @@
-//! Poses of all drones from here, estimated from sightings as they come.
+//! Where all drones are, as one of them would have it, estimated from sightings as they come.
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use flockeye_contract::SwarmWay;
-use flockeye_geometry::ego_rotation::EgoRotation;
-use flockeye_geometry::filter::{MotionModel, Prediction};
-use nalgebra::{Matrix6, Vector3, Vector6};
+use flockeye_contract::{SwarmWay, TrackState};
+use flockeye_geometry::ego_rotation::{CameraTurn, EgoRotation};
+use flockeye_geometry::filter::{MotionEstimate, MotionModel};
+use flockeye_network::monotonic_now_ns;
+use nalgebra::{Matrix6, Vector6};
 
-use super::graph::{Edge, solve};
+use super::graph::{PairPose, solve};
 use super::honesty::contradicting;
-use super::replay::{Replay, TimedPose};
-use super::uncertain_pose::UncertainPose;
+use super::replay::Replay;
+use crate::report::PeerReport;
+use crate::uncertain_pose::UncertainPose;
 
+/// How long a drone's own rotation is kept, seconds: longer than reports are under way.
+const ROTATION_KEPT_S: f64 = 2.0;
 /// Maximum drones, this one included.
 pub(crate) const MOST_DRONES: usize = 64;
 /// A pair that nobody has measured for this long is forgotten, seconds.
 const FORGOTTEN_S: f64 = 1.0;
-/// Deviation of a velocity in a report that has no measurements, m/s and rad/s: how far the pose may have gone
-/// since its exposure beyond what it says.
+/// Deviation of a velocity in a report that has no measurements, m/s and rad/s: how far the pose
+/// may have gone since its exposure beyond what it says.
 const REPORTED_VELOCITY_DEVIATION: f64 = 0.5;
+/// Motion as others see it, m/s^2 per root Hz; their rotation is not known, so what stands still
+/// seems to move when they turn. A drone that rolls by 12 degrees at 0.7 Hz sees a neighbour 1.5 m
+/// away accelerate by up to 6 m/s^2. Over a frame of 33 ms that is as much.
+const OTHERS_ACCELERATION: f64 = 3.0;
 /// An observer that contradicts the others for so long is left out, seconds.
 const LEFT_OUT_AFTER_S: f64 = 0.5;
 /// It comes back after so many times as long without contradiction.
 const FORGIVENESS: f64 = 10.0;
-/// A check stands for no longer than this, seconds: after a pause one check alone leaves nobody out.
+/// A check stands for no longer than this, seconds: after a pause one check alone leaves nobody
+/// out.
 const LONGEST_CHECK_S: f64 = 0.25;
-/// What calibrations of mounts and lenses leave, m and rad. When sightings are compared, it is added to their
-/// deviations, so that it is not taken for a lie.
+/// What calibrations of mounts and lenses leave, m and rad. When sightings are compared, it is
+/// added to their deviations, so that it is not taken for a lie.
 const CALIBRATION: (f64, f64) = (0.02, 0.02);
-
-/// How drones move.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct SwarmModel {
-    /// Motion as this drone sees it, whose own rotation is known.
-    pub own: MotionModel,
-    /// Motion as others see it, whose rotation is not known: what stands still seems to move when they turn.
-    pub others: MotionModel,
-}
-
-impl Default for SwarmModel {
-    /// For others 3 m/s^2 per root Hz. A drone that rolls by 12 degrees at 0.7 Hz sees a neighbour 1.5 m away
-    /// accelerate by up to 6 m/s^2. Over a frame of 33 ms that is as much.
-    fn default() -> Self {
-        let own = MotionModel::default();
-        Self { own, others: MotionModel { acceleration: 3.0, ..own } }
-    }
-}
-
-/// One observer's sighting of one target at one exposure.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Observation<'n> {
-    /// The drone that sees.
-    pub observer: &'n str,
-    /// The drone that is seen.
-    pub target: &'n str,
-    /// The exposure on this machine's clock, seconds.
-    pub at_s: f64,
-    /// Its standard deviation, seconds: what is not known of the observer's clock.
-    pub deviation_s: f64,
-    /// The filtered pose, observer from target.
-    pub filtered: UncertainPose,
-    /// Velocity relative to the observer, along its axes, m/s.
-    pub velocity: Vector3<f64>,
-    /// Angular velocity, the same, rad/s.
-    pub rate: Vector3<f64>,
-    /// This frame's own measurement, where the report has one.
-    pub measured: Option<UncertainPose>,
-}
 
 /// Where a drone is from here.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Place {
+pub struct DronePlace {
     /// The drone's name.
     pub name: String,
     /// Its pose in this drone's frame, and how certain it is.
@@ -113,22 +83,29 @@ fn later(one: Option<f64>, other: Option<f64>) -> Option<f64> {
 }
 
 /// How far a pose goes in each second.
-fn course(velocity: &Vector3<f64>, rate: &Vector3<f64>) -> Vector6<f64> {
+fn course(report: &PeerReport) -> Vector6<f64> {
+    let PeerReport { velocity, rate, .. } = report;
     Vector6::new(velocity.x, velocity.y, velocity.z, rate.x, rate.y, rate.z)
 }
 
 /// What each direction says alone, by observer and target.
 type Directed = BTreeMap<(usize, usize), UncertainPose>;
 
-/// Estimates the poses of all drones from here.
-#[derive(Debug, Clone)]
-pub struct SwarmEstimator {
-    model: SwarmModel,
+/// Combines reports into where all drones are from one of them.
+#[derive(Debug)]
+pub struct SwarmView {
+    /// How the origin turns.
+    ego: EgoRotation,
+    /// Motion as the origin sees it, whose own rotation is known.
+    own_motion: MotionModel,
+    /// Motion as others see it.
+    others_motion: MotionModel,
     /// Names by number; oneself is 0. A number whose drone is forgotten is given to the next.
     names: Vec<Option<String>>,
     /// By observer and target.
     directions: BTreeMap<(usize, usize), Direction>,
-    /// Both directions in one filter, by the lower and the higher number, in the frame of the lower one.
+    /// Both directions in one filter, by the lower and the higher number, in the frame of the lower
+    /// one.
     pairs: BTreeMap<(usize, usize), Replay>,
     doubts: BTreeMap<usize, Doubt>,
     judged_s: Option<f64>,
@@ -143,11 +120,24 @@ struct Doubt {
     is_left_out: bool,
 }
 
-impl SwarmEstimator {
-    /// From the drone `own`. Nothing is seen yet.
-    pub fn new(own: &str, model: SwarmModel) -> Self {
+impl SwarmView {
+    /// A view from the drone `own`: its frame is the origin, and its sightings are believed before
+    /// others'.
+    pub fn from(own: &str) -> Self {
+        let own_motion = MotionModel::default();
+        let others_motion = MotionModel { acceleration: OTHERS_ACCELERATION, ..own_motion };
+        Self::with_motion(own, own_motion, others_motion)
+    }
+
+    pub(super) fn with_motion(
+        own: &str,
+        own_motion: MotionModel,
+        others_motion: MotionModel,
+    ) -> Self {
         Self {
-            model,
+            ego: EgoRotation::new(ROTATION_KEPT_S),
+            own_motion,
+            others_motion,
             names: vec![Some(own.to_owned())],
             directions: BTreeMap::new(),
             pairs: BTreeMap::new(),
@@ -157,47 +147,64 @@ impl SwarmEstimator {
         }
     }
 
-    /// Takes in a sighting. `ego` is how this drone turns. One of a drone beyond [`MOST_DRONES`], or with
-    /// numbers that are none, is left out.
-    pub fn see(&mut self, seen: &Observation<'_>, ego: &EgoRotation) {
-        if !seen.filtered.is_usable() || !seen.at_s.is_finite() || seen.observer == seen.target {
+    /// The drone whose frame is the origin.
+    pub fn own(&self) -> &str {
+        // The first name is never taken away.
+        self.names[0].as_deref().unwrap_or_default()
+    }
+
+    /// Takes in how the origin has turned, in its own frame. Without it poses rest on wider
+    /// assumptions.
+    pub fn turned(&mut self, turn: &CameraTurn) {
+        self.ego.add(turn);
+    }
+
+    /// Takes in a report, of the origin's own or of a peer's sighting. One of a drone beyond the 64
+    /// that are known at once, or with numbers that are none, is left out.
+    pub fn hear(&mut self, report: &PeerReport) {
+        match report.state {
+            TrackState::Lost => self.lose(&report.observer, &report.target),
+            TrackState::Tentative => {}
+            TrackState::Confirmed | TrackState::Coasting | TrackState::Measured => self.see(report),
+        }
+    }
+
+    fn see(&mut self, seen: &PeerReport) {
+        if !seen.observer_from_target.is_usable() || seen.observer == seen.target {
             return;
         }
-        let (Some(observer), Some(target)) = (self.number(seen.observer), self.number(seen.target))
-        else {
-            return;
-        };
+        let at_s = seen.exposure_monotonic_ns as f64 * 1e-9;
+        let deviation_s = seen.exposure_deviation_ns as f64 * 1e-9;
+        let numbers = (self.number(&seen.observer), self.number(&seen.target));
+        let (Some(observer), Some(target)) = numbers else { return };
         let motion = self.motion(observer);
         let direction = self
             .directions
             .entry((observer, target))
             .or_insert_with(|| Direction { replay: Replay::new(motion), reported: None });
         let Some(measured) = seen.measured.filter(UncertainPose::is_usable) else {
-            direction.reported = Some(Reported {
-                at_s: seen.at_s,
-                pose: seen.filtered,
-                course: course(&seen.velocity, &seen.rate),
-            });
+            let pose = seen.observer_from_target;
+            direction.reported = Some(Reported { at_s, pose, course: course(seen) });
             return;
         };
         // What is not known of the time is not known of the place, along the motion.
-        let shift = course(&seen.velocity, &seen.rate) * seen.deviation_s;
+        let shift = course(seen) * deviation_s;
         let covariance = measured.covariance + shift * shift.transpose();
         let pose = UncertainPose { covariance, ..measured };
-        let rotation = |observer| if observer == 0 { ego } else { &self.unknown };
-        direction.replay.add(TimedPose { at_s: seen.at_s, pose }, rotation(observer));
-        if self.doubts.get(&observer).is_some_and(|doubt| doubt.is_left_out) {
+        let rotation = |observer| if observer == 0 { &self.ego } else { &self.unknown };
+        direction.replay.add(at_s, pose, rotation(observer));
+        if self.is_left_out(observer) {
             return;
         }
         let pair = (observer.min(target), observer.max(target));
         let pose = if observer < target { pose } else { pose.inverse() };
-        let motion = if pair.0 == 0 { self.model.own } else { self.model.others };
+        let motion = self.motion(pair.0);
         let replay = self.pairs.entry(pair).or_insert_with(|| Replay::new(motion));
-        replay.add(TimedPose { at_s: seen.at_s, pose }, rotation(pair.0));
+        replay.add(at_s, pose, rotation(pair.0));
     }
 
     /// A track of this drone, or of a peer, is lost: what was seen of it counts no more.
-    pub fn lose(&mut self, observer: &str, target: &str) {
+    fn lose(&mut self, observer: &str, target: &str) {
         if let (Some(observer), Some(target)) = (self.known(observer), self.known(target)) {
             self.directions.remove(&(observer, target));
             if !self.directions.contains_key(&(target, observer)) {
@@ -206,17 +213,23 @@ impl SwarmEstimator {
         }
     }
 
-    /// Where all drones are at `at_s`, seconds on this machine's clock.
-    pub fn places(&mut self, at_s: f64, ego: &EgoRotation) -> Vec<Place> {
+    /// Poses of all drones now.
+    pub fn places_now(&mut self) -> Vec<DronePlace> {
+        self.places(monotonic_now_ns())
+    }
+
+    /// Poses of all drones at an instant of this machine's CLOCK_MONOTONIC, nanoseconds.
+    pub fn places(&mut self, at_monotonic_ns: i64) -> Vec<DronePlace> {
+        let at_s = at_monotonic_ns as f64 * 1e-9;
         self.forget(at_s);
-        let directed = self.directed(at_s, ego);
+        let directed = self.directed(at_s);
         self.judge(at_s, &directed);
         let pairs: BTreeSet<(usize, usize)> =
             self.directions.keys().map(|&(a, b)| (a.min(b), a.max(b))).collect();
         let mut edges = Vec::new();
         let mut newest_s = BTreeMap::new();
         for pair in pairs {
-            if let Some((edge, seen_s)) = self.edge(pair, at_s, ego, &directed) {
+            if let Some((edge, seen_s)) = self.edge(pair, at_s, &directed) {
                 newest_s.insert(pair, seen_s);
                 edges.push(edge);
             }
@@ -226,7 +239,7 @@ impl SwarmEstimator {
             let node = (*node)?;
             let seen_s = newest_s.get(&(drone.min(node.through), drone.max(node.through)))?;
             let way = self.way(drone);
-            Some(Place {
+            Some(DronePlace {
                 name: self.names[drone].clone()?,
                 own_from_drone: node.pose,
                 way,
@@ -238,13 +251,12 @@ impl SwarmEstimator {
         places.collect()
     }
 
-    /// The observers whose sightings contradict the others', and are left out.
-    pub fn left_out(&self) -> impl Iterator<Item = &str> {
+    /// The observers whose reports contradict the others', and are left out.
+    pub fn left_out(&self) -> Vec<String> {
         let left_out = self.doubts.iter().filter(|(_, doubt)| doubt.is_left_out);
-        left_out.filter_map(|(&observer, _)| self.names[observer].as_deref())
+        left_out.filter_map(|(&observer, _)| self.names[observer].clone()).collect()
     }
 
-    /// The number of a drone.
     fn known(&self, name: &str) -> Option<usize> {
         self.names.iter().position(|known| known.as_deref() == Some(name))
     }
@@ -266,7 +278,7 @@ impl SwarmEstimator {
     }
 
     fn motion(&self, observer: usize) -> MotionModel {
-        if observer == 0 { self.model.own } else { self.model.others }
+        if observer == 0 { self.own_motion } else { self.others_motion }
     }
 
     fn is_left_out(&self, observer: usize) -> bool {
@@ -287,7 +299,6 @@ impl SwarmEstimator {
         }
     }
 
-    /// How a drone is known.
     fn way(&self, drone: usize) -> SwarmWay {
         let counts = |observer, target| {
             self.directions.contains_key(&(observer, target)) && !self.is_left_out(observer)
@@ -305,9 +316,8 @@ impl SwarmEstimator {
         &self,
         (from, to): (usize, usize),
         at_s: f64,
-        ego: &EgoRotation,
         directed: &Directed,
-    ) -> Option<(Edge, f64)> {
+    ) -> Option<(PairPose, f64)> {
         let counting = |observer: usize, target: usize| {
             self.directions.get(&(observer, target)).filter(|_| !self.is_left_out(observer))
         };
@@ -319,7 +329,7 @@ impl SwarmEstimator {
         };
         // Both measure: one filter has it all, unless it has just begun anew.
         let filtered = (is_measured(forth) && is_measured(back))
-            .then(|| self.pairs.get(&(from, to))?.at(at_s, self.rotation(from, ego)))
+            .then(|| self.pairs.get(&(from, to))?.at(at_s, self.rotation(from)))
             .flatten();
         let from_to = match filtered {
             Some(prediction) => pose_of(&prediction),
@@ -334,14 +344,14 @@ impl SwarmEstimator {
                 }
             }
         };
-        Some((Edge { from, to, from_to }, seen_s))
+        Some((PairPose { from, to, from_to }, seen_s))
     }
 
     /// What each direction says alone at `at_s`.
-    fn directed(&self, at_s: f64, ego: &EgoRotation) -> Directed {
+    fn directed(&self, at_s: f64) -> Directed {
         let said = self.directions.iter().filter_map(|(&key, direction)| {
             if direction.replay.newest_s().is_some() {
-                let prediction = direction.replay.at(at_s, self.rotation(key.0, ego))?;
+                let prediction = direction.replay.at(at_s, self.rotation(key.0))?;
                 return Some((key, pose_of(&prediction)));
             }
             let reported = direction.reported?;
@@ -355,13 +365,13 @@ impl SwarmEstimator {
     }
 
     /// How an observer turns: this drone's own rotation is known.
-    fn rotation<'e>(&'e self, observer: usize, ego: &'e EgoRotation) -> &'e EgoRotation {
-        if observer == 0 { ego } else { &self.unknown }
+    fn rotation(&self, observer: usize) -> &EgoRotation {
+        if observer == 0 { &self.ego } else { &self.unknown }
     }
 
     /// Finds out whose sightings contradict the others'.
     fn judge(&mut self, at_s: f64, directed: &Directed) {
-        let edges: Vec<Edge> = directed
+        let edges: Vec<PairPose> = directed
             .iter()
             .map(|(&(from, to), &said)| {
                 let mut from_to = said;
@@ -369,7 +379,7 @@ impl SwarmEstimator {
                     from_to.covariance[(axis, axis)] += CALIBRATION.0.powi(2);
                     from_to.covariance[(axis + 3, axis + 3)] += CALIBRATION.1.powi(2);
                 }
-                Edge { from, to, from_to }
+                PairPose { from, to, from_to }
             })
             .collect();
         let since_s = self.judged_s.map_or(0.0, |judged_s| at_s - judged_s);
@@ -399,7 +409,7 @@ impl SwarmEstimator {
     }
 }
 
-fn pose_of(prediction: &Prediction) -> UncertainPose {
+fn pose_of(prediction: &MotionEstimate) -> UncertainPose {
     UncertainPose {
         a_from_b: prediction.camera_from_markers,
         covariance: prediction.pose_covariance(),

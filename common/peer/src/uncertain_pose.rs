@@ -1,10 +1,11 @@
 //! A pose with its covariance.
 //!
-//! The error is (position, rotation vector), both in the axes of `a`: `p_true = p + dp`,
-//! `R_true = exp(dr) R`, as everywhere in this project (Barfoot, "State Estimation for Robotics", section
+//! The error is (position, rotation vector), both in the axes of `a`: `p_true = p + dp`, `R_true =
+//! exp(dr) R`, as everywhere in this project (Barfoot, "State Estimation for Robotics", section
 //! 7.3, with the perturbation on the left and the position apart).
 
-use nalgebra::{Isometry3, Matrix3, Matrix6, Vector3, Vector6};
+use flockeye_geometry::pose::{moved, pose_difference};
+use nalgebra::{Isometry3, Matrix3, Matrix6, Vector6};
 
 /// A pose `a_from_b` and the covariance of its error.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -47,7 +48,7 @@ impl UncertainPose {
 
     /// The error that `other` would be if this were the truth, in the axes of a.
     pub fn difference(&self, other: &Isometry3<f64>) -> Vector6<f64> {
-        difference(&self.a_from_b, other)
+        pose_difference(other, &self.a_from_b)
     }
 
     /// The pose moved by an error in the axes of a.
@@ -56,8 +57,8 @@ impl UncertainPose {
     }
 
     /// Two estimates of one pose whose errors are correlated in an unknown way, as one: covariance
-    /// intersection (Julier and Uhlmann, 1997). Its covariance is never too small, whatever the correlation.
-    /// None if one of the covariances cannot be inverted.
+    /// intersection (Julier and Uhlmann, 1997). Its covariance is never too small, whatever the
+    /// correlation. None if one of the covariances cannot be inverted.
     pub fn intersection(&self, other: &Self) -> Option<Self> {
         let ours = self.covariance.cholesky()?.inverse();
         let theirs = other.covariance.cholesky()?.inverse();
@@ -81,22 +82,6 @@ impl UncertainPose {
         let towards = theirs * (1.0 - share) * self.difference(&other.a_from_b);
         Some(Self { a_from_b: moved(&self.a_from_b, &(covariance * towards)), covariance })
     }
-}
-
-/// The error that `pose` has if `truth` is right, in the axes that both are from: `truth` moved by it is `pose`.
-pub(crate) fn difference(truth: &Isometry3<f64>, pose: &Isometry3<f64>) -> Vector6<f64> {
-    let turn = (pose.rotation * truth.rotation.inverse()).scaled_axis();
-    let shift = pose.translation.vector - truth.translation.vector;
-    Vector6::new(shift.x, shift.y, shift.z, turn.x, turn.y, turn.z)
-}
-
-/// `pose` moved by an error.
-pub(crate) fn moved(pose: &Isometry3<f64>, error: &Vector6<f64>) -> Isometry3<f64> {
-    let shift: Vector3<f64> = error.fixed_rows::<3>(0).into_owned();
-    let turn: Vector3<f64> = error.fixed_rows::<3>(3).into_owned();
-    let mut rotation = nalgebra::UnitQuaternion::from_scaled_axis(turn) * pose.rotation;
-    rotation.renormalize();
-    Isometry3::from_parts((pose.translation.vector + shift).into(), rotation)
 }
 
 /// The matrix of `top_left`, `top_right`, zero and `bottom_right`.

@@ -5,7 +5,7 @@ use nalgebra::{
     Vector6,
 };
 
-use flockeye_geometry::Ray;
+use flockeye_geometry::pose::CornerRay;
 
 /// Scale of the robust cost, in spreads of the errors.
 pub(super) const ROBUST_SCALE: f64 = 3.0;
@@ -15,21 +15,20 @@ pub(super) const WEIGHTED_SHARE: f64 = 0.7209;
 
 /// One ray: where it looks, across what, and how surely (1/radians).
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Sight {
+pub(super) struct WeightedRay {
     ray: Vector3<f64>,
     tangent: Matrix3x2<f64>,
     weight: f64,
 }
 
-impl Sight {
-    /// A sight along a ray with its standard deviation across it.
-    pub(super) fn new(ray: &Ray, deviation_rad: f64) -> Self {
-        let direction = ray.into_inner();
+impl WeightedRay {
+    pub(super) fn new(ray: &CornerRay) -> Self {
+        let direction = ray.ray_in_camera.into_inner();
         let across = direction.cross(&Vector3::ith(direction.iamin(), 1.0)).normalize();
         Self {
             ray: direction,
             tangent: Matrix3x2::from_columns(&[across, direction.cross(&across)]),
-            weight: 1.0 / deviation_rad,
+            weight: 1.0 / ray.deviation_rad,
         }
     }
 
@@ -54,8 +53,8 @@ impl Sight {
     }
 }
 
-/// The derivative by a shift, then by a turn of what lies at `arm` from the turn's centre, from that by
-/// the point itself.
+/// The derivative by a shift, then by a turn of what lies at `arm` from the turn's centre, from
+/// that by the point itself.
 pub(super) fn by_motion(by_point: &Matrix2x3<f64>, arm: &Vector3<f64>) -> Matrix2x6<f64> {
     let mut joined = Matrix2x6::zeros();
     joined.fixed_columns_mut::<3>(0).copy_from(by_point);
@@ -69,10 +68,11 @@ pub(super) fn cauchy(squared: f64, scale: f64) -> f64 {
     square * (squared / square).ln_1p()
 }
 
-/// What Cauchy's weights leave of the squares of normal errors with two coordinates, whose squared norm has
-/// this mean.
+/// What Cauchy's weights leave of the squares of normal errors with two coordinates, whose squared
+/// norm has this mean.
 pub(super) fn weighted_share(mean: f64, scale: f64) -> f64 {
-    // Squared norms are exponentially distributed: the midpoints of equally probable parts stand for them.
+    // Squared norms are exponentially distributed: the midpoints of equally probable parts stand
+    // for them.
     const PARTS: u32 = 1000;
     let square = |part: u32| {
         let above = 1.0 - (f64::from(part) + 0.5) / f64::from(PARTS);
@@ -109,7 +109,8 @@ pub(super) fn moved(pose: &Isometry3<f64>, step: &Vector6<f64>) -> Isometry3<f64
     Isometry3::from_parts((pose.translation.vector + shift).into(), rotation)
 }
 
-/// From one pose to another: shift, then the rotation vector, in the target's axes. What [`moved`] takes.
+/// From one pose to another: shift, then the rotation vector, in the target's axes. What [`moved`]
+/// takes.
 pub(super) fn difference(from: &Isometry3<f64>, to: &Isometry3<f64>) -> Vector6<f64> {
     let shift = to.translation.vector - from.translation.vector;
     let turn = (to.rotation * from.rotation.inverse()).scaled_axis();

@@ -1,22 +1,26 @@
-//! A small seeded generator, so that a partition is the same on every machine and in every process.
+//! Repeatable random numbers: the same for the same seed on every machine and in every process.
 
 use nalgebra::Vector3;
 
 /// SplitMix64 (Steele, Lea and Flood, "Fast splittable pseudorandom number generators", 2014).
 #[derive(Debug, Clone)]
-pub(super) struct Random(u64);
+pub struct Chance(u64);
 
-impl Random {
-    /// The generator of one `stream` of a seed; streams of one seed are unrelated.
-    pub(super) fn new(seed: u64, stream: u64) -> Self {
-        let mut random = Self(seed);
-        random.0 = random.next() ^ stream.wrapping_mul(0x9E37_79B9_7F4A_7C15);
-        random.next();
-        random
+impl Chance {
+    /// Starts from a seed.
+    pub fn new(seed: u64) -> Self {
+        Self(seed)
     }
 
-    /// The next 64 bits.
-    pub(super) fn next(&mut self) -> u64 {
+    /// The generator of one `stream` of a seed; streams of one seed are unrelated.
+    pub(crate) fn stream(seed: u64, stream: u64) -> Self {
+        let mut chance = Self(seed);
+        chance.0 = chance.bits() ^ stream.wrapping_mul(0x9E37_79B9_7F4A_7C15);
+        chance.bits();
+        chance
+    }
+
+    pub(crate) fn bits(&mut self) -> u64 {
         self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
         let mut z = self.0;
         z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
@@ -25,18 +29,17 @@ impl Random {
     }
 
     /// Uniform in [0, 1): the upper 53 bits, which a double holds exactly.
-    pub(super) fn unit(&mut self) -> f64 {
-        (self.next() >> 11) as f64 / (1u64 << 53) as f64
+    pub(crate) fn unit(&mut self) -> f64 {
+        (self.bits() >> 11) as f64 / (1u64 << 53) as f64
     }
 
-    /// One of 0 .. `count`.
-    pub(super) fn below(&mut self, count: usize) -> usize {
-        (self.next() % count as u64) as usize
+    pub(crate) fn below(&mut self, count: usize) -> usize {
+        (self.bits() % count as u64) as usize
     }
 
     /// Uniform on the sphere: a point of the ball by rejection, so without transcendental
     /// functions, whose last bit differs between machines.
-    pub(super) fn direction(&mut self) -> Vector3<f64> {
+    pub(crate) fn portable_direction(&mut self) -> Vector3<f64> {
         loop {
             let mut signed = || 2.0 * self.unit() - 1.0;
             let point = Vector3::new(signed(), signed(), signed());
@@ -55,8 +58,8 @@ mod tests {
     #[test]
     fn the_generator_is_the_published_one() {
         // First outputs of SplitMix64 for the seed 1234567 (Rosetta Code).
-        let mut random = Random(1_234_567);
-        let first: Vec<u64> = (0..3).map(|_| random.next()).collect();
+        let mut chance = Chance::new(1_234_567);
+        let first: Vec<u64> = (0..3).map(|_| chance.bits()).collect();
         assert_eq!(
             first,
             [6_457_827_717_110_365_317, 3_203_168_211_198_807_973, 9_817_491_932_198_370_423]
@@ -65,9 +68,9 @@ mod tests {
 
     #[test]
     fn directions_are_even_and_streams_differ() {
-        let mut random = Random::new(1, 0);
-        let mean = (0..10_000).map(|_| random.direction()).sum::<Vector3<f64>>() / 1e4;
+        let mut chance = Chance::stream(1, 0);
+        let mean = (0..10_000).map(|_| chance.portable_direction()).sum::<Vector3<f64>>() / 1e4;
         assert!(mean.norm() < 0.03, "{mean}");
-        assert_ne!(Random::new(1, 0).next(), Random::new(1, 1).next());
+        assert_ne!(Chance::stream(1, 0).bits(), Chance::stream(1, 1).bits());
     }
 }

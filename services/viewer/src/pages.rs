@@ -9,45 +9,42 @@ use std::time::Duration;
 use flockeye_runtime::lock::lock;
 use tungstenite::Message;
 
-use crate::outbox::{Kind, Outbox};
+use crate::outbox::{OutboxKind, PageOutbox};
 use crate::remote::{Move, Remote};
-use crate::request::Refusal;
+use crate::request::HttpRefusal;
+use crate::wire::{self, TextMessage};
 
 /// Pages that may be open at once.
 pub const MOST_PAGES: usize = 16;
 
 /// All open pages. The ports' thread puts messages in and waits for nobody.
 #[derive(Default)]
-pub struct Hub {
+pub struct Pages {
     state: Mutex<State>,
     changed: Condvar,
     player: Option<StartPlayer>,
 }
 
 /// Starts what plays a recording to one page, until the page's [`Remote`] is closed.
-pub type StartPlayer = Box<dyn Fn(Arc<Page>) -> io::Result<()> + Send + Sync>;
+pub type StartPlayer = Box<dyn Fn(Arc<OpenPage>) -> io::Result<()> + Send + Sync>;
 
 #[derive(Default)]
 struct State {
-    pages: Vec<Arc<Page>>,
+    pages: Vec<Arc<OpenPage>>,
     /// What a page that opens later gets first.
     hello: Option<Message>,
     status: Option<Message>,
     overview: Option<Message>,
 }
 
-/// What the pages want.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct Wanted {
-    /// Whether one is open.
+pub struct Demand {
     pub anything: bool,
-    /// Whether one wants pictures of frames.
     pub pictures: bool,
-    /// Whether one wants close-ups.
     pub closeups: bool,
 }
 
-impl Wanted {
+impl Demand {
     /// What either wants.
     pub fn or(self, other: Self) -> Self {
         Self {
@@ -59,15 +56,16 @@ impl Wanted {
 }
 
 /// One open page, as its own thread and the ports' thread share it.
-pub struct Page {
-    outbox: Mutex<Outbox<Message>>,
+pub struct OpenPage {
+    outbox: Mutex<PageOutbox<Message>>,
     /// A byte here says that something waits.
     bell: UnixStream,
     ringing: UnixStream,
-    remote: Option<Remote>,
+    /// What the page asks its player for; none where it shows a running pipeline.
+    pub remote: Option<Remote>,
 }
 
-impl Hub {
+impl Pages {
     /// For pages that each have a player of their own.
     pub fn with_players(player: StartPlayer) -> Self {
         Self { player: Some(player), ..Self::default() }
@@ -76,17 +74,17 @@ impl Hub {
     /// A new page.
     ///
     /// # Errors
-    /// [`Refusal::Full`] where too many are open, or the system has no more descriptors.
-    pub fn open(&self) -> Result<Arc<Page>, Refusal> {
+    /// [`HttpRefusal::Full`] where too many are open, or the system has no more descriptors.
+    pub fn open(&self) -> Result<Arc<OpenPage>, HttpRefusal> {
         let mut state = lock(&self.state);
         if state.pages.len() >= MOST_PAGES {
-            return Err(Refusal::Full);
+            return Err(HttpRefusal::Full);
         }
-        let page = Arc::new(Page::new(self.player.is_some()).map_err(|_| Refusal::Full)?);
+        let page = Arc::new(OpenPage::new(self.player.is_some()).map_err(|_| HttpRefusal::Full)?);
         let first = [
-            (Kind::Hello, &state.hello),
-            (Kind::Status, &state.status),
-            (Kind::Overview, &state.overview),
+            (OutboxKind::Hello, &state.hello),
+            (OutboxKind::Status, &state.status),
+            (OutboxKind::Overview, &state.overview),
         ];
         for (kind, message) in first {
             if let Some(message) = message {
@@ -94,7 +92,7 @@ impl Hub {
             }
         }
         if let Some(player) = &self.player {
-            player(page.clone()).map_err(|_| Refusal::Full)?;
+            player(page.clone()).map_err(|_| HttpRefusal::Full)?;
         }
         state.pages.push(page.clone());
         drop(state);
@@ -103,7 +101,7 @@ impl Hub {
     }
 
     /// A page was closed.
-    pub fn close(&self, page: &Arc<Page>) {
+    pub fn close(&self, page: &Arc<OpenPage>) {
         if let Some(remote) = &page.remote {
             remote.close();
         }
@@ -117,12 +115,12 @@ impl Hub {
     }
 
     /// Puts a message into each page's outbox.
-    pub fn put(&self, kind: Kind, message: &Message) {
+    pub fn put(&self, kind: OutboxKind, message: &Message) {
         let mut state = lock(&self.state);
         match kind {
-            Kind::Hello => state.hello = Some(message.clone()),
-            Kind::Status => state.status = Some(message.clone()),
-            Kind::Overview => state.overview = Some(message.clone()),
+            OutboxKind::Hello => state.hello = Some(message.clone()),
+            OutboxKind::Status => state.status = Some(message.clone()),
+            OutboxKind::Overview => state.overview = Some(message.clone()),
             _ => {}
         }
         for page in &state.pages {
@@ -130,12 +128,16 @@ impl Hub {
         }
     }
 
-    /// What the pages want.
-    pub fn wanted(&self) -> Wanted {
+    /// Puts a text message into each page's outbox.
+    pub fn tell(&self, message: &TextMessage<'_>) {
+        self.put(message.kind(), &wire::text(message));
+    }
+
+    pub fn wanted(&self) -> Demand {
         let state = lock(&self.state);
         // A page shows both or none.
         let pictures = state.pages.iter().any(|page| page.outbox(|outbox| outbox.wants_pictures()));
-        Wanted { anything: !state.pages.is_empty(), pictures, closeups: pictures }
+        Demand { anything: !state.pages.is_empty(), pictures, closeups: pictures }
     }
 
     /// Whether some page can take a picture now.
@@ -151,7 +153,7 @@ impl Hub {
     }
 }
 
-impl Page {
+impl OpenPage {
     fn new(has_player: bool) -> io::Result<Self> {
         let (bell, ringing) = UnixStream::pair()?;
         bell.set_nonblocking(true)?;
@@ -160,18 +162,13 @@ impl Page {
         Ok(Self { outbox: Mutex::default(), bell, ringing, remote })
     }
 
-    /// What the page asks its player for; none where it shows a running pipeline.
-    pub fn remote(&self) -> Option<&Remote> {
-        self.remote.as_ref()
-    }
-
     /// Hands a wish of the page to its player. False where it has none.
     pub fn ask(&self, wish: Move) -> bool {
         self.remote.as_ref().map(|remote| remote.ask(wish)).is_some()
     }
 
     /// Puts a message into its outbox.
-    pub fn put(&self, kind: Kind, message: Message) {
+    pub fn put(&self, kind: OutboxKind, message: Message) {
         if self.outbox(|outbox| outbox.put(kind, message)) {
             // Where the bell is full of rings, it rings already.
             let _ = (&self.bell).write(&[1]);
@@ -179,7 +176,7 @@ impl Page {
     }
 
     /// Looks into its outbox.
-    pub fn outbox<R>(&self, look: impl FnOnce(&mut Outbox<Message>) -> R) -> R {
+    pub fn outbox<R>(&self, look: impl FnOnce(&mut PageOutbox<Message>) -> R) -> R {
         look(&mut lock(&self.outbox))
     }
 
@@ -202,18 +199,18 @@ mod tests {
 
     #[test]
     fn a_late_page_gets_the_hello_and_pages_are_bounded() {
-        let hub = Hub::default();
-        assert_eq!(hub.wanted(), Wanted::default());
-        hub.put(Kind::Hello, &Message::text("hello"));
-        hub.put(Kind::Frame, &Message::text("too early"));
-        let pages: Vec<_> = (0..MOST_PAGES).map(|_| hub.open().unwrap()).collect();
-        assert_eq!(hub.open().err(), Some(Refusal::Full));
+        let all = Pages::default();
+        assert_eq!(all.wanted(), Demand::default());
+        all.put(OutboxKind::Hello, &Message::text("hello"));
+        all.put(OutboxKind::Frame, &Message::text("too early"));
+        let pages: Vec<_> = (0..MOST_PAGES).map(|_| all.open().unwrap()).collect();
+        assert_eq!(all.open().err(), Some(HttpRefusal::Full));
         let first = pages[0].outbox(|outbox| (outbox.take(), outbox.take()));
         assert_eq!(first, (Some(Message::text("hello")), None));
-        assert_eq!(hub.wanted(), Wanted { anything: true, ..Wanted::default() });
+        assert_eq!(all.wanted(), Demand { anything: true, ..Demand::default() });
         pages[3].outbox(|outbox| outbox.set_wants_pictures(true));
-        assert!(hub.wanted().pictures && hub.takes_pictures());
-        pages.iter().for_each(|page| hub.close(page));
-        assert_eq!(hub.wanted(), Wanted::default());
+        assert!(all.wanted().pictures && all.takes_pictures());
+        pages.iter().for_each(|page| all.close(page));
+        assert_eq!(all.wanted(), Demand::default());
     }
 }

@@ -14,11 +14,11 @@ use proptest::prelude::*;
 
 use self::exact::{cameras, grey, panorama};
 use super::any_camera::CameraMapping;
-use super::cut::{Band, Kernel, cut_band_by};
+use super::cut::{Kernel, RowBand, cut_band_by};
 use super::equirectangular::EquirectangularMapping;
 use super::fixed_point::{LANES, NOWHERE, ONE};
-use super::mapping::{Fit, Mapping};
-use super::patch::Tile;
+use super::mapping::{Mapping, TileFit};
+use super::patch::ViewTile;
 use super::*;
 
 const CAMERA: Camera = Camera::equirectangular(3840, 1920);
@@ -31,8 +31,8 @@ fn with_mapping<T>(camera: &Camera, view: &View, ask: impl FnOnce(&dyn Mapping) 
     }
 }
 
-/// Pseudorandom numbers: splitmix64 (Steele, Lea, Flood: *Fast splittable pseudorandom number generators*, OOPSLA
-/// 2014).
+/// Pseudorandom numbers: splitmix64 (Steele, Lea, Flood: *Fast splittable pseudorandom number
+/// generators*, OOPSLA 2014).
 struct Numbers(u64);
 
 impl Numbers {
@@ -89,7 +89,7 @@ fn hard_views() -> Vec<View> {
     views
 }
 
-/// Distance between two points, the larger of columns and rows. An equirectangular image wraps around.
+/// Distance of two points, the larger of columns and rows; an equirectangular image wraps.
 fn apart(camera: &Camera, columns: f64, rows: f64) -> f64 {
     let turn = f64::from(camera.width());
     let columns = match camera.model() {
@@ -112,14 +112,14 @@ fn interpolated_positions_are_within_the_stated_error() {
                     |numbers: &mut Numbers| (8 + 8 * (numbers.next() % 4) as u32).min(view.size_px);
                 let (width, height) = (side(&mut numbers) & !7, side(&mut numbers));
                 let mut place = |side| (numbers.next() % u64::from(view.size_px - side + 1)) as u32;
-                let tile = Tile { x: place(width), y: place(height), width, height };
+                let tile = ViewTile { x: place(width), y: place(height), width, height };
                 let fit = with_mapping(&camera, &view, |mapping| mapping.fit(tile));
-                let Fit::Patch(patch) = fit else { continue };
+                let TileFit::Interpolated(patch) = fit else { continue };
                 tiles += 1;
                 for first in (0..width).step_by(LANES) {
-                    let [mut columns, mut rows] = patch.strip(first).series;
+                    let [mut columns, mut rows] = patch.strip(first);
                     for y in 0..height {
-                        // The outermost columns and one inside are enough, because tiles lie everywhere.
+                        // The outermost columns and one inside do: tiles lie everywhere.
                         for k in [0, 3, 7] {
                             let at = ViewPixel::new(
                                 f64::from(tile.x + first) + k as f64,
@@ -191,7 +191,7 @@ fn views_differ_from_exact_ones_by_two_greys_at_most() {
                 let mut out = vec![0; (size * size) as usize];
                 rectify_into(&sphere, &cut, &mut out, size as usize).unwrap();
                 let mut of_view = (0.0, 0u32);
-                // Steps prime to the sizes of tiles and strips, so that every position in them is tested.
+                // Prime to the sizes of tiles and strips: every position is tested.
                 let step = if size > 1000 { 13 } else { 5 };
                 for y in (0..size).step_by(step) {
                     for x in (0..size).step_by(step) {
@@ -228,7 +228,7 @@ fn vector_code_gives_the_bytes_of_plain_code() {
                 let rows = view.size_px;
                 let by = |kernel| {
                     let mut out = vec![1; size * size];
-                    let band = Band { cut: &cut, y: 0, rows, out: &mut out, stride: size };
+                    let band = RowBand { cut: &cut, y: 0, rows, out: &mut out, stride: size };
                     cut_band_by(kernel, &sphere, band);
                     out
                 };
@@ -320,7 +320,7 @@ fn images_with_strides_too_long_for_vector_code_are_cut() {
 }
 
 proptest! {
-    /// For any sphere image and view there is no panic, and the grey values lie between the sphere image's.
+    /// For any sphere image and view nothing panics, and greys lie between those of the image.
     #[test]
     fn any_view_of_any_sphere_can_be_cut(
         half_width in 1..40u32,

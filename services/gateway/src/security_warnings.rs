@@ -9,13 +9,13 @@ const REMIND_S: [i64; 4] = [7 * 86_400, 86_400, 3_600, 0];
 
 /// The warnings that were logged so far.
 #[derive(Debug, Default)]
-pub(crate) struct Guard {
+pub(crate) struct SecurityWarnings {
     refused_links: u64,
     warnings: Throttle,
     reminded: Option<i64>,
 }
 
-impl Guard {
+impl SecurityWarnings {
     /// Logs what is new.
     pub(crate) fn look(&mut self, network: &Network) {
         let (refused, why) = network.refused_links();
@@ -59,11 +59,11 @@ mod tests {
 
     #[test]
     fn the_end_is_warned_of_once_at_each_limit() {
-        let mut guard = Guard::default();
+        let mut security = SecurityWarnings::default();
         let mut said = Vec::new();
         for left_s in (-12..1_440).rev().map(|k| 600 * k) {
-            if let Some(limit_s) = guard.reminder(left_s) {
-                guard.reminded = Some(limit_s);
+            if let Some(limit_s) = security.reminder(left_s) {
+                security.reminded = Some(limit_s);
                 said.push(left_s);
             }
         }
