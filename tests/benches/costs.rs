@@ -1,8 +1,8 @@
-//! What each piece of work on a frame costs on this machine, in the words of `Costs`: the
-//! virtual clock of lossless runs. `make results PARTS=costs` keeps its table.
+//! Measures the time of each part of the work on a frame on this machine, in the fields of `Costs`,
+//! the virtual clock of lossless runs. `make results PARTS=costs` keeps its table.
 //!
-//! One body at several distances in the simulated world; each cost is the median over the distances
-//! and rounds, on one thread, with nothing beside it.
+//! The simulated world shows one body at several distances. Each cost is the median over distances
+//! and rounds, on one thread of an idle machine.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used)]
 
 use std::time::Instant;
@@ -35,7 +35,7 @@ const WIDTH: u32 = 3840;
 const DISTANCES_M: [f64; 4] = [0.7, 1.0, 1.5, 2.0];
 
 fn main() {
-    // `cargo test` runs each benchmark once, without this word.
+    // `cargo test` runs each benchmark once, without this argument.
     let rounds = if std::env::args().any(|argument| argument == "--bench") { 15 } else { 1 };
     let mut costs = Costs::default();
     for distance_m in DISTANCES_M {
@@ -155,8 +155,8 @@ fn region(
     let dictionary = Dictionary::of(bodies).unwrap();
     let direction = Unit::new_normalize(truth.translation.vector);
     let distance_m = truth.translation.vector.norm();
-    // Like the region of a tracked body: magnified until a marker of 5 cm has 80 px, three times at
-    // most.
+    // The region has the size of a tracked body's: magnified until a marker of 5 cm has 80 px, at
+    // most three times.
     let focal_px = (80.0 * distance_m / 0.05).min(3.0 * camera.pixels_per_radian());
     let field_rad = 0.4 / distance_m;
     let size_px = (2.0 * focal_px * (field_rad / 2.0).tan()).ceil() as u32;
@@ -210,7 +210,7 @@ fn light() -> LinearLight {
     LinearLight::new(TransferCurve::Srgb, CodeRange::Full).unwrap()
 }
 
-/// Cuts a view, and says how many million pixels it has.
+/// Cuts a view, and returns its number of pixels in millions.
 fn cut(
     cpu: &mut CpuRectifier,
     sphere: &SphereImage<'_>,

@@ -1,9 +1,9 @@
-//! Decisions: how often is a pose wrong that alignment found, by what the picture says for it?
+//! Decisions: measures how often a pose from alignment is wrong, by its log odds from the picture.
 //!
-//! Bodies are aligned in pictures that show them, from the right pose, from mirror poses, from
-//! other attitudes, and with another body's print; and in pictures that do not show them. Prints
-//! what the decisions accept of right and of wrong poses, by distance, blur and light. `make
-//! results PARTS=decisions` keeps it.
+//! Bodies are aligned in pictures that show them: from the right pose, from mirror poses, from
+//! other attitudes, and with another body's print. They are also aligned in pictures without them.
+//! Prints the accepted shares of right and of wrong poses, by distance, blur and light. `make
+//! results PARTS=decisions` keeps the tables.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used)]
 
 #[path = "decisions/chance.rs"]
@@ -23,25 +23,25 @@ use chance::Chance;
 use pictures::{Shown, Still};
 use tally::{Hypothesis, Kind, Tally};
 
-/// Poses that differ by less are the same.
+/// Largest angle between equal poses.
 const SAME_RAD: f64 = 0.2;
-/// Attitudes other than the right one that are tried for each body.
+/// Number of wrong attitudes that are tried for each body.
 const TURNS: usize = 3;
 /// Share of the facets by which a body is mirrored.
 const MIRRORS: f64 = 0.15;
-/// Places without a body that are tried in each picture as it is, and in each one that is exposed
-/// otherwise.
+/// Numbers of places without a body that are tried in each original picture, and in each picture
+/// with another exposure.
 const PLACES: usize = 60;
 const PLACES_EXPOSED: usize = 6;
-/// Nobody is looked for so near to a body, radians.
+/// Least angle between a body and a place without a body, radians.
 const APART_RAD: f64 = 0.35;
-/// Bodies are looked for within these distances, metres.
+/// Distances of the bodies, metres.
 const RANGES_M: std::ops::Range<f64> = 0.6..4.0;
 /// Exposures of simulated pictures, stops from the right one.
 const STOPS: [f64; 8] = [-4.0, -3.0, -2.0, -1.0, 0.0, 1.0, 2.0, 3.0];
 
 fn main() {
-    // `cargo test` runs each benchmark once, without this word.
+    // `cargo test` runs each benchmark once, without this argument.
     if !std::env::args().any(|argument| argument == "--bench") {
         return;
     }
@@ -66,7 +66,7 @@ struct Bench {
 }
 
 impl Bench {
-    /// Aligns what is and what is not in a picture.
+    /// Aligns bodies at places with and without them in a picture.
     fn judge(&mut self, still: &Still, stop: f64) {
         for shown in &still.bodies {
             if RANGES_M.contains(&shown.camera_from_markers.translation.vector.norm()) {

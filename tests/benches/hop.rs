@@ -1,12 +1,12 @@
-//! How long a frame takes from one process to the next, by the pipeline's own ports, and beside it
-//! the same bytes through a Unix domain socket, through Zenoh on loopback and, where
-//! `FLOCKEYE_DORA` is dora's command and `FLOCKEYE_DORA_HOP` the program of `tests/peers/dora`,
-//! through dora-rs.
+//! Measures the time of a frame from one process to the next by the pipeline's own ports. For
+//! comparison the same bytes go through a Unix domain socket and through Zenoh on loopback. They
+//! also go through dora-rs if `FLOCKEYE_DORA` is dora's command and `FLOCKEYE_DORA_HOP` the program
+//! of `tests/peers/dora`.
 //!
-//! Two real processes: this one sends, and starts itself again as the one that receives. A frame
-//! is written before its clock starts, by every way; what is measured is the way itself: to the
-//! wake-up of the consumer, and to the consumer having read each cache line. Zenoh wakes its
-//! consumer when a message is there as a whole, the socket when its first bytes are.
+//! There are two processes: this one sends, and starts itself again as the receiver. A frame is
+//! written before the clock starts, so only the transport is measured. One time ends at the wake-up
+//! of the consumer, the other when it has read each cache line. Zenoh wakes its consumer after a
+//! whole message, the socket after the first bytes.
 
 use std::hint::black_box;
 use std::io::{Read, Write};
@@ -31,16 +31,15 @@ use iceoryx2::prelude::{Node, NodeBuilder, SignalHandlingMode, ipc};
 use zenoh::Wait;
 use zenoh::qos::CongestionControl;
 
-/// Messages of each size and way, after those that only warm up.
+/// Number of messages of each size and transport, after those for the warm-up.
 const MESSAGES: usize = 400;
 const WARM_UP: usize = 40;
 const PERIOD: Duration = Duration::from_millis(10);
-/// What each message of the socket, and of Zenoh, begins with: when it was sent, and how long it
-/// is.
+/// Size of the header of messages through the socket and Zenoh: time of sending and length.
 const HEADER: usize = 16;
-/// Where Zenoh's messages go.
+/// Key of the messages through Zenoh.
 const KEY: &str = "flockeye/hop";
-/// The receiver of Zenoh's messages is there by then, or never.
+/// Timeout for the receiver of messages through Zenoh.
 const PATIENCE: Duration = Duration::from_secs(10);
 /// The frames' sizes: 1 KB, and a whole sphere.
 const SIZES: [(u32, u32); 2] = [(32, 32), (3840, 1920)];
@@ -130,14 +129,14 @@ fn receiver(role: &str, of: &str) -> anyhow::Result<Child> {
         .context("this program can be started again")
 }
 
-/// What the receiver wrote.
+/// The receiver's output as latencies.
 fn result_of(child: Child) -> anyhow::Result<Hop> {
     let output = child.wait_with_output()?;
     ensure!(output.status.success(), "the receiver failed: {}", output.status);
     hop_of(&String::from_utf8(output.stdout)?)
 }
 
-/// From a line for each message, with both latencies in nanoseconds.
+/// Parses a line for each message, with both latencies in nanoseconds.
 fn hop_of(text: &str) -> anyhow::Result<Hop> {
     let arrived = text.lines().count();
     ensure!(arrived > (MESSAGES + WARM_UP) * 9 / 10, "only {arrived} messages arrived");
@@ -155,7 +154,7 @@ fn hop_of(text: &str) -> anyhow::Result<Hop> {
     Ok(Hop { woken_us: woken_us.context(missing)?, read_us: read_us.context(missing)? })
 }
 
-/// Waits for the line by which a receiver says that it listens.
+/// Waits for the line that a receiver prints when it is ready.
 fn wait_until_ready(child: &mut Child) -> anyhow::Result<()> {
     let stdout = child.stdout.as_mut().context("it is piped")?;
     let mut line = [0; 6];
@@ -179,16 +178,12 @@ fn through_ports(width: u32, height: u32) -> anyhow::Result<Hop> {
         loan.items_mut().fill(sequence as u8);
         let stamp = FrameStamp { sequence, published_ns: monotonic_ns(), ..FrameStamp::default() };
         let header = FrameHeader { stamp, width, height, stride: width, ..FrameHeader::default() };
-        loan.send(header)?;
+        publisher.send_loan(loan, header)?;
         std::thread::sleep(PERIOD);
     }
-    // The last one has the size of none other: it ends the receiver.
-    publisher.loan(1)?.send(FrameHeader {
-        width: 1,
-        height: 1,
-        stride: 1,
-        ..Default::default()
-    })?;
+    // The last frame has a size of its own, which ends the receiver.
+    let end = FrameHeader { width: 1, height: 1, stride: 1, ..Default::default() };
+    publisher.send_loan(publisher.loan(1)?, end)?;
     let hop = result_of(child)?;
     drop((publisher, ports, services, ownership));
     Ok(hop)
@@ -255,7 +250,7 @@ fn receive_bytes(path: &Path) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// A session between this machine's processes alone.
+/// A session between processes of this machine only.
 fn session(listen: &[&str], connect: &[&str]) -> anyhow::Result<zenoh::Session> {
     let config = serde_json::json!({
         "mode": "peer",
@@ -292,7 +287,7 @@ fn through_zenoh(bytes: usize) -> anyhow::Result<Hop> {
         publisher.put(message).wait().map_err(failed)?;
         std::thread::sleep(PERIOD);
     }
-    // An empty one ends the receiver.
+    // An empty message ends the receiver.
     publisher.put(Vec::new()).wait().map_err(failed)?;
     let hop = result_of(child)?;
     session.close().wait().map_err(failed)?;
@@ -318,7 +313,7 @@ fn receive_samples(endpoint: &str) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// `None` where there is no dora.
+/// The latencies through dora-rs; `None` if it is not installed.
 fn through_dora(bytes: usize) -> anyhow::Result<Option<Hop>> {
     let program = |variable| std::env::var_os(variable).map(PathBuf::from);
     let (Some(dora), Some(node)) = (program("FLOCKEYE_DORA"), program("FLOCKEYE_DORA_HOP")) else {
@@ -333,7 +328,7 @@ fn through_dora(bytes: usize) -> anyhow::Result<Option<Hop>> {
             "path": node,
             "args": format!("send {bytes} {messages} {period_ms}"),
             "outputs": ["frame"],
-            // By default there is room for one frame, and the second is copied.
+            // The default pool has memory for one frame, and a second one would be copied.
             "shared_memory_pool_size": 64 << 20,
         },
         {

@@ -1,14 +1,14 @@
-//! Processor instructions of the cores on a recording: rectification, detection and fusion in one
-//! thread, in lossless order, without supervisor, processes or shared memory. Under valgrind's
-//! callgrind the count repeats.
+//! Counts processor instructions of the cores on a recording: rectification, detection and fusion
+//! in one thread. They run in lossless order, without supervisor, processes or shared memory. With
+//! valgrind's callgrind the count is reproducible.
 //!
 //! ```sh
 //! make instructions      # the first 30 frames of flight1
 //! ```
 //!
-//! `decode VIDEO FRAMES FILE` writes decoded frames, `fly FILE VIDEO BODIES` flies them. Only
-//! [`fly`] is counted, so decoding, configuration and the reading of frames cost nothing. It prints
-//! how many poses came out, and a hash of them: builds with the same behaviour have the same.
+//! `decode VIDEO FRAMES FILE` writes decoded frames, `fly FILE VIDEO BODIES` processes them. Only
+//! [`fly`] is counted, so decoding, configuration and the reading of frames are excluded. It prints
+//! the number of poses and their hash, which are equal for builds with the same behaviour.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used)]
 
 use std::collections::VecDeque;
@@ -32,7 +32,7 @@ use flockeye_rectification::cutting::Cutter;
 use flockeye_runtime::health::SharedCounters;
 
 fn main() {
-    // `cargo bench` adds its own word.
+    // `cargo bench` adds an argument of its own.
     let arguments: Vec<String> =
         std::env::args().skip(1).filter(|word| word != "--bench").collect();
     let words: Vec<&str> = arguments.iter().map(String::as_str).collect();
@@ -116,7 +116,7 @@ fn read(file: &str) -> Vec<Decoded> {
     frames
 }
 
-/// The three cores, and what carries their messages.
+/// The three cores, and the state between them.
 struct Cores {
     rectification: Rectification<Rc<Vec<u8>>>,
     cutter: Cutter,
@@ -124,7 +124,7 @@ struct Cores {
     fusion: Fusion<Vec<u8>>,
     writer: Writer,
     background: Option<BackgroundRunner>,
-    /// The time that the cores see: that of the stream.
+    /// The time of the cores, which is the stream's time.
     now_ns: i64,
     poses: usize,
     hash: u64,
@@ -160,7 +160,7 @@ impl Cores {
         }
     }
 
-    /// Works on a frame until nothing is left to do.
+    /// Runs rectification until it is idle.
     fn rectify(&mut self) {
         loop {
             match self.rectification.step(self.now_ns) {

@@ -1,5 +1,5 @@
-//! What the default pipeline does in 20 seconds of the default simulated flight, and which stage
-//! the processor time goes to.
+//! Measures the default pipeline in 20 seconds of the default simulated flight, with the processor
+//! time of each stage.
 
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
@@ -8,7 +8,7 @@ use flockeye_contract::{Health, Healths};
 use flockeye_tests::Flight;
 use flockeye_tests::onlooker::{join, subscribe};
 
-/// Start, flight and end, on a loaded machine.
+/// Timeout for start, flight and end on a loaded machine.
 const WATCHDOG: Duration = Duration::from_secs(180);
 
 fn main() {
@@ -67,7 +67,7 @@ fn cores() -> usize {
     std::thread::available_parallelism().map_or(1, usize::from)
 }
 
-/// What else the machine had to do: numbers of a busy machine are not those of an idle one.
+/// The load of the machine, because results of a busy machine are not comparable.
 fn load_average() -> String {
     let text = std::fs::read_to_string("/proc/loadavg").unwrap_or_default();
     let load: Vec<&str> = text.split_whitespace().take(3).collect();

@@ -1,9 +1,9 @@
-//! Places: what a search in any attitude finds of bodies of which only a rough place is known, and
-//! what it finds where nobody is.
+//! Places: measures the search in all attitudes, for bodies with a rough place and at places
+//! without a body.
 //!
-//! Prints how many bodies it finds in simulated pictures of any light and in recorded ones, beside
-//! what alignment finds from the right pose; and how often the best pose at a place without a body
-//! has log odds above x. `make results PARTS=places` keeps it.
+//! Prints how many bodies it finds in simulated pictures with any exposure and in recorded ones,
+//! beside alignment from the right pose. It also prints how often the best pose at a place without
+//! a body has log odds above x. `make results PARTS=places` keeps the tables.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used)]
 
 #[allow(dead_code, reason = "the bench of decisions uses more of it")]
@@ -32,11 +32,11 @@ use pictures::{Cutting, Still};
 
 /// Exposures of simulated pictures, stops from the right one.
 const STOPS: [f64; 4] = [-4.0, -2.0, 0.0, 3.0];
-/// Bodies are looked for beyond this distance, metres.
+/// Least distance of the bodies, metres.
 const NEAREST_M: f64 = 1.2;
 /// Ends of the ranges that are counted, metres.
 const RANGES_M: [f64; 3] = [2.2, 3.0, 4.0];
-/// A place is off by so much of the body's radius, and its range by as much as this share.
+/// Errors of a rough place: its shift in radii of the body, and the relative error of its range.
 const OFF_RADII: f64 = 0.7;
 const OFF_RANGE: f64 = 0.2;
 /// The body of all pictures: side of its markers and its radius, metres.
@@ -44,11 +44,11 @@ const SIDE_M: f64 = 0.05;
 const RADIUS_M: f64 = 0.0817;
 /// Places without a body that are searched in each picture.
 const PLACES: usize = 4;
-/// A place nearer to a body than this is not one without, radians.
+/// Least angle between a body and a place without a body, radians.
 const APART_RAD: f64 = 0.35;
 
 fn main() {
-    // `cargo test` runs each benchmark once, without this word.
+    // `cargo test` runs each benchmark once, without this argument.
     if !std::env::args().any(|argument| argument == "--bench") {
         return;
     }
@@ -66,7 +66,7 @@ fn main() {
     bench.print();
 }
 
-/// What was found of a body.
+/// The results for a body.
 struct Sought {
     origin: String,
     range_m: f64,
@@ -82,7 +82,7 @@ struct Bench {
     light: LinearLight,
     chance: Chance,
     proposer: Proposer,
-    /// Those of the pictures' bodies, which are the same as long as their prints are.
+    /// Templates of the pictures' bodies, which are kept while their prints stay the same.
     templates: Option<(Rc<Vec<BodyPrint>>, Vec<Templates>)>,
     sought: Vec<Sought>,
     /// Log odds of the best precise pose at each place without a body.
@@ -142,7 +142,7 @@ impl Bench {
         }
     }
 
-    /// Searches places that look like a body and are none.
+    /// Searches places that look like a body but show none.
     fn judge_places(&mut self, still: &Still) {
         let image =
             SphereImage::new(&still.luma, 3840, Camera::equirectangular(3840, 1920)).unwrap();
@@ -226,7 +226,7 @@ impl Bench {
     }
 }
 
-/// A view that shows what is round a place.
+/// A view around a place.
 fn view_of(still: &Still, place: &Place) -> Cutting {
     let middle: Vector3<f64> = place.direction_in_camera * (0.75 * place.range_m);
     still.view_of(&Isometry3::translation(middle.x, middle.y, middle.z))

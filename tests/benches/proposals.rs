@@ -1,6 +1,6 @@
-//! Proposals: what they cost in each frame, and among how many of them the bodies are that a frame
-//! shows. Prints a table for simulated gusts and for each recording. `make results PARTS=proposals`
-//! keeps it.
+//! Proposals: measures their time in each frame, and the rank of the bodies among them. Prints a
+//! table for simulated gusts and for each recording. `make results PARTS=proposals` keeps the
+//! tables.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used)]
 
 #[path = "shared/frames.rs"]
@@ -20,23 +20,24 @@ use rustix::time::{ClockId, clock_gettime};
 
 const WIDTH: u32 = 3840;
 
-/// Places that are counted; what lies beyond is not looked at.
+/// Ranks up to which bodies are counted. Later proposals are ignored.
 const PLACES: [usize; 5] = [4, 8, 12, 16, 24];
 
 /// The body of the recordings and of the simulator: side of its markers and its radius, metres.
 const SIDE_M: f64 = 0.05;
 const RADIUS_M: f64 = 0.0817;
 
-/// The seeds of the simulated frames, which nothing was chosen on, and the frames of each.
+/// The seeds of the simulated frames, which were not used to choose parameters, and the frames of
+/// each.
 const SEEDS: std::ops::Range<u64> = 4201..4211;
 const FRAMES: [u64; 4] = [0, 17, 34, 51];
 
-/// Recordings, and which of their frames are looked at.
+/// Recordings, and the interval of their used frames.
 const RECORDINGS: [(&str, &str, u64); 3] =
     [("flight1", "flight1.mp4", 15), ("flight4", "flight4.mp4", 4), ("stills", "images", 1)];
 
 fn main() {
-    // `cargo test` runs each benchmark once, without this word.
+    // `cargo test` runs each benchmark once, without this argument.
     if !std::env::args().any(|argument| argument == "--bench") {
         return;
     }
@@ -45,7 +46,7 @@ fn main() {
     }
 }
 
-/// A table of each kind of picture, looked at like this.
+/// Prints a table for each kind of picture, with this detail.
 fn print(detail: Detail) {
     let table_of = || Table { detail, ..Table::default() };
     println!("{detail:?} look");
@@ -101,13 +102,13 @@ fn simulated(seed: u64, mut each: impl FnMut(&SphereImage<'_>, &[Shown])) {
     }
 }
 
-/// Processor time of this thread: what else runs on the machine does not count.
+/// Processor time of this thread, which does not include other work of the machine.
 fn processor_ms() -> f64 {
     let time = clock_gettime(ClockId::ThreadCPUTime);
     time.tv_sec as f64 * 1e3 + time.tv_nsec as f64 * 1e-6
 }
 
-/// The place of a body among proposals: the first whose view shows the body's middle.
+/// The rank of a body among proposals: the first one whose view shows the body's middle.
 fn place_of(position: &Vector3<f64>, proposals: &[Proposal]) -> Option<usize> {
     let (direction, range_m) = Unit::new_and_get(*position);
     let radius_rad = (RADIUS_M / range_m).asin();
@@ -121,7 +122,7 @@ fn place_of(position: &Vector3<f64>, proposals: &[Proposal]) -> Option<usize> {
 struct Table {
     detail: Detail,
     proposer: Proposer,
-    /// Distance, blur, and place among the proposals.
+    /// Distance, blur, and rank among the proposals.
     places: Vec<(f64, f64, Option<usize>)>,
     times_ms: Vec<f64>,
     proposals: Vec<f64>,

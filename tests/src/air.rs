@@ -1,8 +1,8 @@
-//! A radio between network namespaces that loses, delays and cuts.
+//! A simulated radio between network namespaces, with losses, delays and cuts.
 //!
-//! Each station is a namespace with an interface `radio` of its own. A small program in it passes
-//! packets on to [`Air`] and back, over Unix sockets. So any program in a station uses the kernel's
-//! own TCP, and nothing else of the machine's network.
+//! Each station is a namespace with its own interface `radio`. A small program in it passes packets
+//! to [`Air`] and back over Unix sockets. So programs in a station use the kernel's TCP, but not
+//! the machine's network.
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
@@ -24,38 +24,38 @@ use crate::{Scratch, absent};
 const STATION: &str = include_str!("station.py");
 /// Longest packet of the stations' interfaces.
 const LONGEST_PACKET: usize = 2048;
-/// Packets on the way between two stations; more are lost.
+/// Largest number of packets in transit between two stations; further ones are lost.
 const MOST_ON_THE_WAY: usize = 4096;
 
-/// How often it is looked whether all is over.
+/// Interval of the checks for the end.
 const LOOK: Duration = Duration::from_millis(20);
 
-/// What happens to packets.
+/// The conditions of the radio for packets.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Weather {
-    /// Share that is lost.
+    /// Share of lost packets.
     pub loss: f64,
-    /// Time on the way.
+    /// Delay of each packet.
     pub delay: Duration,
-    /// Up to so much more, at random. Packets of a link stay in order.
+    /// Largest additional random delay. Packets of a link stay in order.
     pub jitter: Duration,
 }
 
 impl Weather {
     /// Nothing is lost or delayed.
     pub const CLEAR: Self = Self { loss: 0.0, delay: Duration::ZERO, jitter: Duration::ZERO };
-    /// Nothing comes through.
+    /// All packets are lost.
     pub const CUT: Self = Self { loss: 1.0, ..Self::CLEAR };
-    /// At the edge of its reach.
+    /// At the edge of the radio's range.
     pub const BAD: Self =
         Self { loss: 0.2, delay: Duration::from_millis(100), jitter: Duration::from_millis(50) };
 }
 
-/// The stations, and what is between them. Dropping it takes them down.
+/// The stations and the radio between them. Dropping the value removes them.
 pub struct Air {
     stations: Vec<Child>,
     weather: Arc<Mutex<Weather>>,
-    /// Stations that are out of everybody's reach.
+    /// Stations that are out of range.
     away: Arc<Mutex<Vec<usize>>>,
     ending: Arc<AtomicBool>,
     threads: Vec<JoinHandle<()>>,
@@ -63,8 +63,8 @@ pub struct Air {
 }
 
 impl Air {
-    /// Sets up so many stations in clear weather. `None` where this user may not have namespaces,
-    /// and says so.
+    /// Sets up stations in clear weather. If this user may not create namespaces, prints a message
+    /// and returns `None`.
     pub fn between(count: usize) -> Option<Self> {
         let folder = Scratch::new("air");
         let socket = UnixDatagram::bind(folder.path("air")).expect("a socket can be bound");
@@ -115,12 +115,12 @@ impl Air {
         Some(Self { stations, weather, away, ending, threads, _folder: folder })
     }
 
-    /// Lets the weather change.
+    /// Changes the weather.
     pub fn set(&self, weather: Weather) {
         *lock(&self.weather) = weather;
     }
 
-    /// Brings a station out of everybody's reach, or back.
+    /// Moves a station out of range, or back.
     pub fn set_away(&self, station: usize, is_away: bool) {
         let mut away = lock(&self.away);
         away.retain(|other| *other != station);
@@ -154,23 +154,23 @@ pub fn address(station: usize) -> String {
     format!("10.77.0.{}", station + 1)
 }
 
-/// The arguments that whoever is not root needs.
+/// Adds the arguments that a user other than root needs.
 fn user_namespace<'a>(arguments: &'a [&'a str]) -> &'a [&'a str] {
     if geteuid().is_root() { &[] } else { arguments }
 }
 
-/// Packets on their way, by when they arrive.
+/// Packets in transit, ordered by their time of arrival.
 #[derive(Default)]
 struct OnTheWay {
     packets: Mutex<BinaryHeap<Reverse<Packet>>>,
     changed: Condvar,
 }
 
-/// When it arrives, its number, for whom it is, and its bytes.
+/// Time of arrival, number, receiving station, and bytes.
 type Packet = (Instant, u64, usize, Vec<u8>);
 
-/// Takes packets from the stations' socket, and lets them wait as the weather is. It never waits
-/// for a station: one whose packets are not taken does not take any.
+/// Receives packets from the stations' socket, and delays or drops them by the weather. It never
+/// waits for a station, because a blocked station would block all others.
 fn take(
     socket: &UnixDatagram,
     stations: usize,
@@ -183,7 +183,7 @@ fn take(
     let mut last = vec![Instant::now(); stations * stations];
     let mut dice = 0x9e37_79b9_7f4a_7c15_u64;
     let mut chance = move || {
-        // xorshift64: the weather need not be the same twice.
+        // xorshift64 random numbers. Runs need not be reproducible.
         dice ^= dice << 13;
         dice ^= dice >> 7;
         dice ^= dice << 17;
@@ -212,7 +212,7 @@ fn take(
     }
 }
 
-/// Gives packets to the stations when their time has come.
+/// Sends packets to the stations at their times of arrival.
 fn give(socket: &UnixDatagram, sockets: &[PathBuf], on_the_way: &OnTheWay, ending: &AtomicBool) {
     while !ending.load(Ordering::Relaxed) {
         let mut packets = lock(&on_the_way.packets);
@@ -223,13 +223,13 @@ fn give(socket: &UnixDatagram, sockets: &[PathBuf], on_the_way: &OnTheWay, endin
             drop(on_the_way.changed.wait_timeout(packets, wait));
         } else if let Some(Reverse((_, _, to, packet))) = packets.pop() {
             drop(packets);
-            // A station that has gone takes no more.
+            // An error is ignored: the station may have ended.
             socket.send_to(&packet, &sockets[to]).ok();
         }
     }
 }
 
-/// The stations that an IPv4 packet is from and for.
+/// The sending and the receiving station of an IPv4 packet.
 fn ends_of(packet: &[u8], stations: usize) -> Option<[usize; 2]> {
     let ends = [*packet.get(15)?, *packet.get(19)?];
     let ends = ends.map(|end| usize::from(end).wrapping_sub(1));

@@ -1,4 +1,4 @@
-//! An autopilot as the inertial stage hears it.
+//! A simulated autopilot for the inertial stage.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
@@ -9,22 +9,22 @@ use mavlink::dialects::common::{
 };
 use mavlink::{Connectable, Connection, MavConnection, MavHeader, UdpConfig, UdpMode};
 
-/// An autopilot that sends `HIGHRES_IMU` 200 times a second until it is dropped: of a drone that
-/// yaws as the simulated one, times a factor in percent that can be changed.
+/// An autopilot that sends `HIGHRES_IMU` 200 times a second until it is dropped. Its yaw rate is
+/// that of the simulated drone, times a variable factor in percent.
 pub struct SimulatedAutopilot {
     percent: Arc<AtomicU32>,
     thread: Option<std::thread::JoinHandle<()>>,
 }
 
-/// One column of the picture in each frame: in calm air the simulated backdrop turns by whole
-/// columns.
+/// Yaw of one picture column per frame, degrees/s. In calm air the simulated background turns by
+/// whole columns.
 pub const YAW_DEG_S: f32 = 360.0 / 1024.0 * 30.0;
 
 /// Ends the thread.
 const STOP: u32 = u32::MAX;
 
 impl SimulatedAutopilot {
-    /// Sends to this UDP address.
+    /// Starts an autopilot that sends to this UDP address.
     pub fn start(address: String) -> Self {
         let percent = Arc::new(AtomicU32::new(100));
         let factor = percent.clone();
@@ -39,7 +39,7 @@ impl SimulatedAutopilot {
                     return;
                 }
                 if sample % 200 == 0 {
-                    // Nobody may be there yet, or any more.
+                    // Errors are ignored: the receiver may not exist yet, or any more.
                     let _ = line.send(&header, &MavMessage::HEARTBEAT(HEARTBEAT_DATA::DEFAULT));
                 }
                 let yaw = YAW_DEG_S.to_radians() * percent as f32 / 100.0;

@@ -15,18 +15,19 @@ use crate::{Beside, Scratch, WATCHDOG};
 /// The name of Chromium in [`flockeye_require::REQUIRE`].
 pub const BROWSER: &str = "browser";
 
-/// A browser with one tab. It ends with the value.
+/// A browser with one tab. It ends when the value is dropped.
 pub struct Browser {
     socket: WebSocket<TcpStream>,
     calls: u64,
-    /// What the page complained of: exceptions, refused resources, errors in its log.
+    /// Errors of the page: exceptions, refused resources, errors in its log.
     pub complaints: Vec<String>,
     process: Beside,
     _profile: Scratch,
 }
 
 impl Browser {
-    /// Starts it. Where there is none, or none that starts, says so and returns `None`.
+    /// Starts the browser. If there is none, or if it does not start, prints a message and returns
+    /// `None`.
     pub fn start() -> Option<Self> {
         let Some(program) = find() else {
             absent(BROWSER, "chromium, which `make setup` installs");
@@ -58,7 +59,7 @@ impl Browser {
         self.call("Page.navigate", &json!({ "url": address }));
     }
 
-    /// What an expression of the page's JavaScript is; promises are waited for.
+    /// The value of a JavaScript expression in the page. Promises are awaited.
     pub fn ask(&mut self, expression: &str) -> Value {
         let asked = json!({
             "expression": expression, "awaitPromise": true, "returnByValue": true,
@@ -72,7 +73,7 @@ impl Browser {
     pub fn wait_for(&mut self, expression: &str) -> Value {
         let start = Instant::now();
         loop {
-            // What it speaks of may not be there yet.
+            // An expression may fail while the page is loading.
             let value = self.ask(&format!(
                 "(() => {{ try {{ return {expression} }} catch {{ return null }} }})()"
             ));
@@ -88,7 +89,7 @@ impl Browser {
         }
     }
 
-    /// Presses a key, as DevTools names it.
+    /// Presses a key, with its names in DevTools.
     pub fn press(&mut self, key: &str, code: &str) {
         for kind in ["keyDown", "keyUp"] {
             self.call("Input.dispatchKeyEvent", &json!({ "type": kind, "key": key, "code": code }));
@@ -111,7 +112,8 @@ impl Browser {
 
 impl Drop for Browser {
     fn drop(&mut self) {
-        // One that is killed leaves children, which write to the profile while it is removed.
+        // The browser is closed by a command. If killed, it leaves children that write to the
+        // profile while it is removed.
         let asked = json!({ "id": self.calls + 1, "method": "Browser.close" });
         if self.socket.send(Message::text(asked.to_string())).is_ok() {
             let start = Instant::now();
@@ -163,23 +165,23 @@ fn call(
     }
 }
 
-/// How long a browser may take until it says its port.
+/// Timeout for a browser to print its port.
 const START: Duration = Duration::from_secs(60);
-/// How long it may take to end by itself.
+/// Timeout for a browser to end by itself.
 const END: Duration = Duration::from_secs(10);
 
-/// Starts a browser. Its process, its profile, and its port with the path of its socket; what it
-/// wrote if it says none.
+/// Starts a browser. Returns its process, its profile, and its port with the path of its socket.
+/// The error is its output.
 fn launch(program: &Path) -> Result<(Beside, Scratch, (u16, String)), String> {
     let profile = Scratch::new("browser");
     let complaints = profile.path("stderr");
     let mut command = Command::new(program);
     command.args(["--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--mute-audio"]);
-    // WebGL by the processor, which is there everywhere.
+    // WebGL runs on the processor, so that no GPU is needed.
     command.args(["--use-angle=swiftshader", "--enable-unsafe-swiftshader"]);
     command.args(["--no-first-run", "--window-size=1000,700"]);
-    // Nothing but the page: no updates, no crash reports, no look at the desktop or the network
-    // outside.
+    // Disables everything but the page: updates, crash reports, and access to the desktop and the
+    // network.
     command.args([
         "--disable-background-networking",
         "--disable-component-update",
@@ -189,7 +191,7 @@ fn launch(program: &Path) -> Result<(Beside, Scratch, (u16, String)), String> {
     command.args(["--password-store=basic"]).env("DBUS_SESSION_BUS_ADDRESS", "disabled:");
     command.arg("--remote-debugging-port=0");
     command.arg(format!("--user-data-dir={}", profile.path("").display()));
-    // Its temporary folders lie in the profile, and go with it.
+    // Temporary folders are in the profile, and are removed with it.
     command.arg("about:blank").env("TMPDIR", profile.path("")).stdout(Stdio::null());
     command.stderr(File::create(&complaints).expect("a temporary file can be made"));
     let mut process = Beside::start(command);

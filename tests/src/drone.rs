@@ -1,5 +1,5 @@
-//! Drones at the stations of a radio ([`crate::air`]): pipelines with their real gateways, whose
-//! fusion says what it is told. So no camera is simulated, and eight of them fit on two processors.
+//! Drones at the stations of a radio ([`crate::air`]): pipelines with real gateways and a
+//! `told-fusion`. No camera is simulated, so eight drones fit on two processors.
 
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -16,27 +16,27 @@ use rustix::process::Signal;
 use crate::air::{Air, Weather, address};
 use crate::{Flight, flockeye, told};
 
-/// From frame to frame, milliseconds.
+/// Time between two frames, milliseconds.
 pub const PERIOD_MS: u64 = 100;
-/// Nothing here takes this long.
+/// Timeout of each wait.
 const PATIENCE: Duration = Duration::from_secs(60);
 
-/// A drone at a station: its pipeline, and what its gateway hears.
+/// A drone at a station: its pipeline and the listener to its gateway.
 pub struct Drone {
-    /// Its pipeline.
+    /// Pipeline of the drone.
     pub flight: Flight,
-    /// What its gateway hears.
+    /// Listener to the drone's gateway.
     pub ear: Ear,
 }
 
-/// When reports of each observer came in last, and when fusion's tracks came.
+/// Last arrival of each observer's reports, and arrivals of fusion's tracks.
 #[derive(Default)]
 struct Heard {
     peers: BTreeMap<String, Instant>,
     tracks: Vec<Instant>,
 }
 
-/// Listens to what a gateway passes on.
+/// Listens to the messages of a gateway.
 pub struct Ear {
     heard: Arc<Mutex<Heard>>,
     ending: Arc<AtomicBool>,
@@ -64,7 +64,7 @@ impl Ear {
                     None => std::thread::sleep(Duration::from_millis(20)),
                 }
             };
-            // It ends with its pipeline, whichever is first.
+            // Errors are ignored: the pipeline may end first.
             drop(ports.attend(|| {
                 let mut heard = lock(&told);
                 while let Some(message) = peers.receive()? {
@@ -81,18 +81,18 @@ impl Ear {
         Self { heard, ending, thread: Some(thread) }
     }
 
-    /// How many others were heard since then.
+    /// Number of other drones whose reports arrived since then.
     pub fn heard_since(&self, since: Instant) -> usize {
         let heard = lock(&self.heard);
         heard.peers.values().filter(|at| **at >= since).count()
     }
 
-    /// When one was heard last.
+    /// Last arrival of a drone's reports.
     pub fn last_of(&self, name: &str) -> Option<Instant> {
         lock(&self.heard).peers.get(name).copied()
     }
 
-    /// The longest time from one of fusion's messages to the next, since then.
+    /// The longest time between two messages of fusion, since then.
     pub fn longest_pause_since(&self, since: Instant) -> Duration {
         let heard = lock(&self.heard);
         let later: Vec<_> = heard.tracks.iter().filter(|at| **at >= since).collect();
@@ -113,12 +113,12 @@ pub fn name(station: usize) -> String {
     format!("d{station}")
 }
 
-/// How drones are linked.
+/// The links between drones.
 #[derive(Debug, Clone, Copy)]
 pub enum Links {
-    /// Each with each: it connects to those of lower stations.
+    /// Links between all pairs: each drone connects to those at lower stations.
     Direct,
-    /// All with the router at a station alone.
+    /// Links from all drones to the router at a station.
     Router(usize),
 }
 
@@ -137,7 +137,7 @@ impl Links {
         ]
     }
 
-    /// Where an onlooker hears all.
+    /// The endpoint at which an onlooker receives all reports.
     pub fn hub(self) -> String {
         match self {
             Self::Direct => endpoint(0),
@@ -146,7 +146,7 @@ impl Links {
     }
 }
 
-/// Starts a drone at a station, which sees the next one on a ring of `count`.
+/// Starts a drone at a station. It reports the next drone on a ring of `count`.
 pub fn start(air: &Air, station: usize, count: usize, swarm: &str, links: Links) -> Drone {
     let instance = format!("{swarm}-{station}");
     let mut set = told::settings(PERIOD_MS, &[&name((station + 1) % count)]);
@@ -166,7 +166,7 @@ pub fn endpoint(station: usize) -> String {
     format!("tcp/{}:7447", address(station))
 }
 
-/// Who heard whom how long ago, and the warnings of each drone.
+/// For each drone: times since the last report of each other one, and its warnings.
 fn state(drones: &[Drone]) -> String {
     let of = |drone: &Drone| {
         let heard = lock(&drone.ear.heard);
@@ -184,7 +184,7 @@ fn state(drones: &[Drone]) -> String {
     drones.iter().map(of).collect::<Vec<_>>().join("\n")
 }
 
-/// Waits until it is so, and says how long that took.
+/// Waits until the condition is true, and returns the time.
 pub fn wait_until(what: &str, drones: &[Drone], is_so: impl Fn() -> bool) -> Duration {
     let start = Instant::now();
     while !is_so() {
@@ -195,7 +195,7 @@ pub fn wait_until(what: &str, drones: &[Drone], is_so: impl Fn() -> bool) -> Dur
     start.elapsed()
 }
 
-/// Ends them all, and looks that nothing is left.
+/// Ends all drones, and checks that nothing is left.
 pub fn end(drones: Vec<Drone>) {
     for drone in &drones {
         drone.flight.signal(Signal::TERM);
@@ -206,7 +206,7 @@ pub fn end(drones: Vec<Drone>) {
     }
 }
 
-/// Two drones that hear each other.
+/// Two drones that receive each other's reports.
 pub fn pair(air: &Air, swarm: &str) -> Vec<Drone> {
     let drones: Vec<Drone> =
         (0..2).map(|station| start(air, station, 2, swarm, Links::Direct)).collect();
@@ -217,17 +217,16 @@ pub fn pair(air: &Air, swarm: &str) -> Vec<Drone> {
     drones
 }
 
-/// What a cut of the radio did.
+/// The effect of a cut of the radio.
 #[derive(Debug, Clone, Copy)]
 pub struct Recovery {
-    /// From its end until each has heard the other.
+    /// Time from its end until each drone has received a report of the other.
     pub heard_after: Duration,
-    /// The longest time from one of fusion's messages to the next: in bad weather, in the cut and
-    /// after it.
+    /// Longest time between two messages of fusion: in bad weather, in the cut and after it.
     pub fusion_pause: Duration,
 }
 
-/// Two drones in bad weather, then without a radio for as long as `cut`, and then in the weather
+/// Two drones in bad weather, then without radio for the time `cut`, and then in the weather
 /// `after`.
 pub fn cut(air: &Air, drones: &[Drone], cut: Duration, after: Weather) -> Recovery {
     let hear = |since: Instant| drones.iter().all(|drone| drone.ear.heard_since(since) == 1);

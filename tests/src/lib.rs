@@ -1,7 +1,7 @@
-//! What whole-pipeline tests need: a pipeline of real processes under a watchdog.
+//! Helpers for whole-pipeline tests: pipelines of real processes under a watchdog.
 //!
-//! Each test runs under its own instance name, so that all of them run side by side, and must leave
-//! nothing in /dev/shm ([`Flight::assert_nothing_left`]).
+//! Each test has its own instance name, so that tests run in parallel. It must leave nothing in
+//! /dev/shm ([`Flight::assert_nothing_left`]).
 
 pub mod air;
 pub mod autopilot;
@@ -23,7 +23,7 @@ pub use flockeye_require::{VULKAN, absent, recordings};
 use flockeye_runtime::instance::Instance;
 use rustix::process::{Pid, Signal, kill_process};
 
-/// The longest any single wait of a test may take: a loaded machine is slow, a hang is for ever.
+/// Timeout of a single wait in a test. It is long, because a loaded machine is slow.
 pub const WATCHDOG: Duration = Duration::from_secs(120);
 
 /// The `flockeye` command that was built with these tests.
@@ -35,14 +35,14 @@ pub fn flockeye() -> PathBuf {
     path.unwrap_or_else(|| panic!("no flockeye near {}: build the workspace first", own.display()))
 }
 
-/// A name that no other test has, here or in a process beside this one.
+/// A name that is unique among all tests in all processes.
 pub fn unique(name: &str) -> String {
     static COUNT: AtomicU32 = AtomicU32::new(0);
     let count = COUNT.fetch_add(1, Ordering::Relaxed);
     format!("t{}-{count}-{name}", std::process::id())
 }
 
-/// A folder that is removed with the value.
+/// A folder that is removed when the value is dropped.
 #[derive(Debug)]
 pub struct Scratch(PathBuf);
 
@@ -62,12 +62,12 @@ impl Scratch {
 
 impl Drop for Scratch {
     fn drop(&mut self) {
-        // What cannot be removed is the system's to clean up.
+        // An error is ignored: the system cleans up temporary folders.
         drop(std::fs::remove_dir_all(&self.0));
     }
 }
 
-/// Settings of a small simulated flight that any machine can follow: 1024x512, one neighbour near.
+/// Settings of a small simulated flight for any machine: 1024x512, with one near neighbour.
 pub const SMALL_FLIGHT: &[&str] = &[
     "camera.width=1024",
     "camera.height=512",
@@ -76,7 +76,7 @@ pub const SMALL_FLIGHT: &[&str] = &[
     "gateway.enabled=false",
 ];
 
-/// What is said of the neighbour once it is tracked.
+/// Text in the output once the neighbour is tracked.
 pub const POSES_FLOW: &str = "alpha confirmed";
 
 /// The settings of a small flight, and more.
@@ -99,14 +99,14 @@ impl Flight {
         Self::start_as(&unique(name), arguments, set)
     }
 
-    /// Starts it as [`Flight::start`] does, and waits until the neighbour is tracked.
+    /// Starts a flight like [`Flight::start`], and waits until the neighbour is tracked.
     pub fn with_poses(name: &str, arguments: &[&str], set: &[&str]) -> Self {
         let mut flight = Self::start(name, arguments, set);
         flight.wait_for(POSES_FLOW);
         flight
     }
 
-    /// As [`Flight::start`], under a given instance name.
+    /// Starts a flight like [`Flight::start`], under a given instance name.
     pub fn start_as(instance: &str, arguments: &[&str], set: &[&str]) -> Self {
         let mut command = Command::new(flockeye());
         command.arg("up").args(arguments);
@@ -117,9 +117,9 @@ impl Flight {
         Self::launch(instance, command)
     }
 
-    /// Whatever `command` starts, as the process that looks after an instance.
+    /// Starts `command` as the launcher of an instance.
     pub fn launch(instance: &str, mut command: Command) -> Self {
-        // No pipeline.yaml here: the defaults.
+        // This folder has no pipeline.yaml, so the defaults are used.
         command.current_dir(std::env::temp_dir());
         command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
         let mut child = command.spawn().expect("flockeye can be started");
@@ -141,7 +141,7 @@ impl Flight {
         self.output.lock().unwrap_or_else(PoisonError::into_inner).join("\n")
     }
 
-    /// Waits until something is written that holds `text`.
+    /// Waits until the output contains `text`.
     pub fn wait_for(&mut self, text: &str) {
         let start = Instant::now();
         while !self.output().contains(text) {
@@ -156,7 +156,7 @@ impl Flight {
         }
     }
 
-    /// The output once the last lines are in.
+    /// The output after the last lines have arrived.
     fn settled_output(&self) -> String {
         self.settle();
         self.output()
@@ -165,7 +165,7 @@ impl Flight {
     /// Waits for the last lines of a process that has ended.
     fn settle(&self) {
         let start = Instant::now();
-        // Somebody it has left behind may still hold the pipe: that is not waited for without end.
+        // A remaining child process may still hold the pipe, so the wait has a timeout.
         while !self.collectors.iter().all(JoinHandle::is_finished)
             && start.elapsed() < Duration::from_secs(5)
         {
@@ -198,7 +198,7 @@ impl Flight {
         kill_process(self.pid(), signal).expect("the launcher can be signalled");
     }
 
-    /// Whether it has come to its end.
+    /// Whether the process has ended.
     pub fn has_ended(&mut self) -> bool {
         self.child.try_wait().expect("it is our child").is_some()
     }
@@ -208,7 +208,7 @@ impl Flight {
         self.wait_for_end(WATCHDOG)
     }
 
-    /// Waits for the end, for as long as a test that works on much needs.
+    /// Waits for the end, with a timeout for long flights.
     pub fn wait_for_end(&mut self, watchdog: Duration) -> ExitStatus {
         let start = Instant::now();
         loop {
@@ -224,26 +224,26 @@ impl Flight {
         }
     }
 
-    /// Waits for the end, which must be a good one that leaves nothing.
+    /// Waits for the end, which must be successful and leave nothing.
     #[track_caller]
     pub fn assert_ends_well(&mut self) {
         assert!(self.wait().success(), "{}", self.output());
         self.assert_nothing_left();
     }
 
-    /// Sends the launcher a signal that ends the pipeline well.
+    /// Sends the launcher a signal, which must end the pipeline successfully.
     #[track_caller]
     pub fn end_by(&mut self, signal: Signal) {
         self.signal(signal);
         self.assert_ends_well();
     }
 
-    /// Runs a command of `flockeye` on this instance: whether it succeeded, and all that it wrote.
+    /// Runs a command of `flockeye` on this instance. Returns whether it succeeded, and its output.
     pub fn ask(&self, arguments: &[&str]) -> (bool, String) {
         ask(self.instance.name(), arguments)
     }
 
-    /// Ends it by `flockeye stop`.
+    /// Ends the pipeline by `flockeye stop`.
     #[track_caller]
     pub fn stop(mut self) {
         let (succeeded, output) = self.ask(&["stop"]);
@@ -263,7 +263,8 @@ impl Flight {
 impl Drop for Flight {
     fn drop(&mut self) {
         if matches!(self.child.try_wait(), Ok(None)) {
-            // A test has failed: no stage outlives the launcher, and its files are removed.
+            // After a failed test the launcher is killed, which ends all stages, and its files are
+            // removed.
             drop(self.child.kill());
             drop(self.child.wait());
             for stage in self.stages("") {
@@ -280,7 +281,7 @@ impl Drop for Flight {
     }
 }
 
-/// A process that is killed with the value, also where the test fails.
+/// A process that is killed when the value is dropped, also if the test fails.
 #[derive(Debug)]
 pub struct Beside(Child);
 
@@ -290,7 +291,7 @@ impl Beside {
         Self(command.stdin(Stdio::null()).spawn().expect("it can be started"))
     }
 
-    /// Whether it has ended by itself.
+    /// Whether the process has ended by itself.
     pub fn has_ended(&mut self) -> bool {
         !matches!(self.0.try_wait(), Ok(None))
     }
@@ -308,7 +309,7 @@ impl Drop for Beside {
     }
 }
 
-/// Runs `flockeye` with these arguments to its end: whether it succeeded, and all that it wrote.
+/// Runs `flockeye` with these arguments to its end. Returns whether it succeeded, and its output.
 pub fn run(arguments: &[&str]) -> (bool, String) {
     let mut command = Command::new(flockeye());
     command.args(arguments);
@@ -320,19 +321,19 @@ pub fn run(arguments: &[&str]) -> (bool, String) {
 /// User and system time of a process, clock ticks.
 pub fn ticks_of(pid: u32) -> anyhow::Result<f64> {
     let stat = std::fs::read_to_string(format!("/proc/{pid}/stat"))?;
-    // After the name, which may hold blanks: user and system time are the 12th and 13th.
+    // Fields after the name, which may contain blanks. User and system time are the 12th and 13th.
     let fields = stat.rsplit_once(')').context("no such line")?.1;
     let ticks = fields.split_whitespace().skip(11).take(2).map(str::parse::<f64>);
     Ok(ticks.sum::<Result<f64, _>>()?)
 }
 
-/// Runs a command of `flockeye` on an instance: whether it succeeded, and all that it wrote.
+/// Runs a command of `flockeye` on an instance. Returns whether it succeeded, and its output.
 pub fn ask(instance: &str, arguments: &[&str]) -> (bool, String) {
     let (command, rest) = arguments.split_first().expect("a command");
     run(&[&[*command, "--instance", instance], rest].concat())
 }
 
-/// Runs `flockeye` with these arguments, which must succeed, and gives all that it wrote.
+/// Runs `flockeye` with these arguments, which must succeed, and returns its output.
 #[track_caller]
 pub fn succeeds(arguments: &[&str]) -> String {
     let (succeeded, output) = run(arguments);

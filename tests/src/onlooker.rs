@@ -1,4 +1,4 @@
-//! Somebody who reads a pipeline's own messages beside its stages, as a viewer does.
+//! A reader of a pipeline's own messages, like a viewer.
 
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
@@ -12,7 +12,7 @@ use flockeye_runtime::ports::{Ports, Subscriber};
 
 use crate::{Flight, Scratch, WATCHDOG, flockeye};
 
-/// Joins a pipeline as a tool does, once its launcher has written what there is to read.
+/// Joins a pipeline like a tool, once its launcher has written the configuration.
 pub fn join(flight: &mut Flight) -> Ports {
     retry(flight, |flight| Some(onlooker::join(&flight.instance).ok()?.0))
 }
@@ -34,8 +34,8 @@ fn retry<R>(flight: &mut Flight, mut attempt: impl FnMut(&Flight) -> Option<R>) 
     }
 }
 
-/// A simulated flight whose source waits until a gate opens: what came before an onlooker is not
-/// kept for anybody.
+/// A simulated flight whose source waits until a gate opens. Without a gate an onlooker would miss
+/// the first messages.
 pub struct Gated {
     /// The flight.
     pub flight: Flight,
@@ -43,7 +43,7 @@ pub struct Gated {
 }
 
 impl Gated {
-    /// Starts it. Once this returns it can be joined; the gate lies in `scratch`.
+    /// Starts the flight. After the return it can be joined. The gate is a file in `scratch`.
     pub fn start(name: &str, scratch: &Scratch, arguments: &[&str], set: &[&str]) -> Self {
         let gate = scratch.path("gate");
         let source = format!(
@@ -58,16 +58,16 @@ impl Gated {
         Self { flight, gate }
     }
 
-    /// Lets frames come.
+    /// Opens the gate, which starts the frames.
     pub fn open(&self) {
         std::fs::write(&self.gate, "").expect("the gate can be opened");
     }
 }
 
-/// Everything that egomotion, fusion and rectification said of a simulated flight's frames, and the
+/// All messages of egomotion, fusion and rectification about a simulated flight's frames, and the
 /// truth.
 pub struct Tape {
-    /// The messages of `track`, in the order in which they came.
+    /// The messages of `track` in order of arrival.
     pub tracks: Vec<(TrackHeader, Vec<Track>)>,
     /// The messages of `frame_end`.
     pub ends: Vec<FrameEnd>,
@@ -75,12 +75,12 @@ pub struct Tape {
     pub rotations: Vec<Rotation>,
     /// The headers of `truth`.
     pub truths: Vec<TruthHeader>,
-    /// What the launcher wrote.
+    /// Output of the launcher.
     pub output: String,
 }
 
 impl Tape {
-    /// Flies to the end of the flight, and records it from its first frame on.
+    /// Runs a flight to its end, and records it from its first frame on.
     pub fn record(name: &str, arguments: &[&str], set: &[&str]) -> Self {
         let scratch = Scratch::new(name);
         let mut gated = Gated::start(name, &scratch, arguments, set);
@@ -127,7 +127,8 @@ impl Tape {
         tape
     }
 
-    /// Fails unless each of `count` frames was ended once, and had its last word on tracks once.
+    /// Fails unless each of `count` frames has exactly one end and exactly one last message of
+    /// tracks.
     pub fn assert_every_frame_ended_once(&self, count: u64) {
         let wanted: Vec<u64> = (0..count).collect();
         let mut ended: Vec<_> = self.ends.iter().map(|end| end.stamp.sequence).collect();

@@ -1,9 +1,9 @@
-//! Pipelines without a camera, whose fusion (`told-fusion`) says what it is told. So their real
-//! gateways fit many times on one machine.
+//! Pipelines without a camera, whose fusion (`told-fusion`) sends given poses. So many real
+//! gateways fit on one machine.
 
 use crate::flockeye;
 
-/// Settings of a pipeline whose fusion says every `period_ms` that it sees `targets`.
+/// Settings of a pipeline whose fusion reports `targets` every `period_ms`.
 pub fn settings(period_ms: u64, targets: &[&str]) -> Vec<String> {
     let fusion = flockeye().with_file_name("told-fusion");
     let mut set = vec![

@@ -1,4 +1,4 @@
-//! What the pipeline's configuration says, for C, which has no JSON of its own.
+//! The pipeline's configuration for stages in C. C has no JSON parser of its own.
 
 use std::collections::BTreeMap;
 use std::ffi::{CStr, CString};
@@ -8,11 +8,12 @@ use anyhow::Context;
 use flockeye_runtime::instance::FOLDER_VARIABLE;
 use serde_json::Value;
 
-/// The configuration as the instance's `pipeline.json` has it, and its bodies.
+/// The configuration of the instance, from its `pipeline.json`, and its bodies.
 pub(crate) struct StageConfiguration {
-    json: CString,
+    pub(crate) json: CString,
     values: Value,
-    dictionary: CString,
+    /// The dictionary of all markers, by OpenCV's name or as a file.
+    pub(crate) dictionary: CString,
     /// Names of the bodies by their target numbers.
     names: Vec<CString>,
     /// Target numbers by the ids of markers.
@@ -43,16 +44,6 @@ impl StageConfiguration {
         })
     }
 
-    /// The whole of it as JSON.
-    pub(crate) fn json(&self) -> &CStr {
-        &self.json
-    }
-
-    /// The dictionary of all markers, by OpenCV's name or as a file.
-    pub(crate) fn dictionary(&self) -> &CStr {
-        &self.dictionary
-    }
-
     /// The target number of the body that has this marker.
     pub(crate) fn target_of(&self, marker: u32) -> Option<u32> {
         self.targets.get(&marker).copied()
@@ -69,7 +60,7 @@ impl StageConfiguration {
         })
     }
 
-    /// A number as a list of one, or the numbers of a list.
+    /// The numbers at a JSON pointer. A single number gives a list with one entry.
     pub(crate) fn numbers(&self, pointer: &str) -> anyhow::Result<Vec<f64>> {
         let value = self.value(pointer)?;
         let entries = value.as_array().map_or(std::slice::from_ref(value), Vec::as_slice);
@@ -77,13 +68,13 @@ impl StageConfiguration {
         numbers.with_context(|| format!("{pointer} is {value}, which is not made of numbers"))
     }
 
-    /// A text.
+    /// The text at a JSON pointer.
     pub(crate) fn text(&self, pointer: &str) -> anyhow::Result<&str> {
         let value = self.value(pointer)?;
         value.as_str().with_context(|| format!("{pointer} is {value}, which is no text"))
     }
 
-    /// How many entries a list has.
+    /// The length of the list at a JSON pointer.
     pub(crate) fn count(&self, pointer: &str) -> anyhow::Result<usize> {
         let value = self.value(pointer)?;
         let list = value.as_array().with_context(|| format!("{pointer} is not a list"))?;

@@ -1,4 +1,4 @@
-//! Functions that look something up in the configuration of a stage.
+//! C functions that read values from the configuration of a stage.
 
 use std::ffi::{CStr, CString, c_char, c_int};
 
@@ -23,7 +23,7 @@ unsafe fn configuration<'a>(stage: *const FlockeyeStage) -> &'a StageConfigurati
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn flockeye_stage_pipeline(stage: *const FlockeyeStage) -> *const c_char {
     // SAFETY: the caller's promise.
-    unsafe { configuration(stage) }.json().as_ptr()
+    unsafe { configuration(stage) }.json.as_ptr()
 }
 
 /// Numbers of the configuration; see `stage.h`.
@@ -42,7 +42,7 @@ pub unsafe extern "C" fn flockeye_stage_numbers(
         let (configuration, pointer) = unsafe { (configuration(stage), text_of(pointer)?) };
         let found = configuration.numbers(pointer)?;
         ensure!(found.len() == count, "{pointer} has {} numbers, not {count}", found.len());
-        // SAFETY: the caller's promise; so many were found.
+        // SAFETY: the caller's promise; the number of values found is `count`.
         unsafe { std::ptr::copy_nonoverlapping(found.as_ptr(), numbers, count) };
         Ok(OK)
     };
@@ -66,14 +66,14 @@ pub unsafe extern "C" fn flockeye_stage_text(
         let found = CString::new(configuration.text(pointer)?).context("a text with a zero")?;
         let bytes = found.as_bytes_with_nul();
         ensure!(bytes.len() <= room, "{pointer} takes {} bytes, not {room}", bytes.len());
-        // SAFETY: the caller's promise; there is room for so many.
+        // SAFETY: the caller's promise; the size was checked above.
         unsafe { std::ptr::copy_nonoverlapping(found.as_ptr(), text, bytes.len()) };
         Ok(OK)
     };
     failure::code(copy())
 }
 
-/// How long a list of the configuration is; see `stage.h`.
+/// The length of a list of the configuration; see `stage.h`.
 ///
 /// # Safety
 /// `stage` is open, `pointer` is a string, and `count` can be written.
@@ -101,7 +101,7 @@ pub unsafe extern "C" fn flockeye_stage_count(
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn flockeye_stage_dictionary(stage: *const FlockeyeStage) -> *const c_char {
     // SAFETY: the caller's promise.
-    unsafe { configuration(stage) }.dictionary().as_ptr()
+    unsafe { configuration(stage) }.dictionary.as_ptr()
 }
 
 /// Whether a configured body has this marker.

@@ -1,14 +1,14 @@
 //! Subscribers and publishers of any topic, by name.
 //!
-//! In Rust each topic has types of its own. In C a message is a header and items in memory, whose
-//! types follow from the topic's name as `contract.h` says.
+//! In Rust each topic has types of its own. In C a message is a header and items in memory.
+//! `contract.h` gives their types for each topic name.
 
 use std::any::Any;
 use std::ffi::{c_char, c_int, c_void};
 
 use anyhow::{Context, bail};
 use flockeye_contract::{TOPICS, Topic, TopicVisitor, visit_topics};
-use flockeye_runtime::ports::{PortError, Ports, Publisher, UnsentMessage};
+use flockeye_runtime::ports::{Loan, Message, PortError, Ports, Publisher, Subscriber};
 
 use crate::failure::{self, NOTHING, OK};
 use crate::stage::{FlockeyeStage, text_of};
@@ -32,39 +32,34 @@ pub struct FlockeyeLoan {
     owner: *mut c_void,
 }
 
-/// Receives a topic, whichever it is.
-pub struct FlockeyeSubscriber(Box<dyn AnySubscriber>);
+/// A subscriber of any topic. The function returns the next message.
+pub struct FlockeyeSubscriber(Box<dyn FnMut() -> Result<Option<FlockeyeMessage>, PortError>>);
 
-/// Publishes a topic, whichever it is.
+/// A publisher of any topic.
 pub struct FlockeyePublisher(Box<dyn AnyPublisher>);
 
-trait AnySubscriber {
-    fn receive(&mut self) -> Result<Option<FlockeyeMessage>, PortError>;
+/// Receives the next message of a topic in the form for C.
+fn receive<T: Topic + 'static>(
+    subscriber: &mut Subscriber<T>,
+) -> Result<Option<FlockeyeMessage>, PortError> {
+    Ok(subscriber.receive()?.map(|message| {
+        let (items, count) = (message.items().as_ptr().cast(), message.items().len());
+        // The header has a box of its own. Nothing moves or borrows it until C releases it.
+        let header = Box::into_raw(Box::new(message.header));
+        let owner = into_owner(Box::new(Kept::<T> { header, _message: message }));
+        FlockeyeMessage { header: header.cast(), items, count, owner }
+    }))
 }
 
-impl<T: Topic + 'static> AnySubscriber for flockeye_runtime::ports::Subscriber<T> {
-    fn receive(&mut self) -> Result<Option<FlockeyeMessage>, PortError> {
-        let message = flockeye_runtime::ports::Subscriber::receive(self)?;
-        Ok(message.map(|message| {
-            let (items, count) = (message.items().as_ptr().cast(), message.items().len());
-            // In a box of its own, which nothing moves or borrows until it is released, the header
-            // stays where it is.
-            let header = Box::into_raw(Box::new(message.header));
-            let owner = into_owner(Box::new(Kept::<T> { header, _message: message }));
-            FlockeyeMessage { header: header.cast(), items, count, owner }
-        }))
-    }
-}
-
-/// A message that C has.
+/// A message that C holds, with a copy of its header.
 struct Kept<T: Topic> {
     header: *mut T::Header,
-    _message: flockeye_runtime::ports::Message<T>,
+    _message: Message<T>,
 }
 
 impl<T: Topic> Drop for Kept<T> {
     fn drop(&mut self) {
-        // SAFETY: it is of `Box::into_raw` in `receive`, and only this value frees it.
+        // SAFETY: the pointer is from `Box::into_raw` in `receive`, and only this value frees it.
         drop(unsafe { Box::from_raw(self.header) });
     }
 }
@@ -86,7 +81,7 @@ trait AnyPublisher {
     fn loan(&self, count: usize) -> Result<FlockeyeLoan, PortError>;
     /// # Safety
     /// `header` points to this topic's header.
-    unsafe fn send(&self, unsent: Box<dyn Any>, header: *const c_void) -> anyhow::Result<()>;
+    unsafe fn send(&self, loan: Box<dyn Any>, header: *const c_void) -> anyhow::Result<()>;
     fn update_connections(&self) -> Result<(), PortError>;
     fn item_bytes(&self) -> usize;
 }
@@ -95,15 +90,16 @@ impl<T: Topic + 'static> AnyPublisher for Publisher<T> {
     fn loan(&self, count: usize) -> Result<FlockeyeLoan, PortError> {
         let mut loan = Publisher::loan(self, count)?;
         let items = loan.items_mut().as_mut_ptr().cast();
-        Ok(FlockeyeLoan { items, count, owner: into_owner(Box::new(loan.detach())) })
+        Ok(FlockeyeLoan { items, count, owner: into_owner(Box::new(loan)) })
     }
 
-    unsafe fn send(&self, unsent: Box<dyn Any>, header: *const c_void) -> anyhow::Result<()> {
-        let unsent = unsent.downcast::<UnsentMessage<T>>();
-        let Ok(unsent) = unsent else { bail!("the loan is of another topic than {}", T::NAME) };
+    unsafe fn send(&self, loan: Box<dyn Any>, header: *const c_void) -> anyhow::Result<()> {
+        let Ok(loan) = loan.downcast::<Loan<T>>() else {
+            bail!("the loan is of another topic than {}", T::NAME)
+        };
         // SAFETY: the caller's promise; any bytes are a valid header.
         let header = unsafe { header.cast::<T::Header>().read_unaligned() };
-        Ok(self.resume(*unsent).send(header)?)
+        Ok(self.send_loan(*loan, header)?)
     }
 
     fn update_connections(&self) -> Result<(), PortError> {
@@ -120,7 +116,7 @@ fn into_owner(value: Box<dyn Any>) -> *mut c_void {
 }
 
 /// # Safety
-/// `owner` is null or of [`into_owner`], and nobody uses it any more.
+/// `owner` is null or from [`into_owner`], and is not used any more.
 unsafe fn from_owner(owner: *mut c_void) -> Option<Box<dyn Any>> {
     // SAFETY: the caller's promise.
     (!owner.is_null()).then(|| *unsafe { Box::from_raw(owner.cast::<Box<dyn Any>>()) })
@@ -128,13 +124,14 @@ unsafe fn from_owner(owner: *mut c_void) -> Option<Box<dyn Any>> {
 
 /// A port of any topic.
 trait AnyPort: Sized {
-    /// Opens it for topic `T`.
+    /// Opens the port for topic `T`.
     fn open<T: Topic + 'static>(ports: &mut Ports, lane: usize) -> Result<Self, PortError>;
 }
 
 impl AnyPort for FlockeyeSubscriber {
     fn open<T: Topic + 'static>(ports: &mut Ports, lane: usize) -> Result<Self, PortError> {
-        Ok(Self(Box::new(ports.subscriber_of_lane::<T>(lane)?)))
+        let mut subscriber = ports.subscriber_of_lane::<T>(lane)?;
+        Ok(Self(Box::new(move || receive(&mut subscriber))))
     }
 }
 
@@ -144,7 +141,7 @@ impl AnyPort for FlockeyePublisher {
     }
 }
 
-/// Opens the port of the topic with this name.
+/// A visitor of all topics. It opens the port of the topic with this name.
 struct PortOpening<'a, P> {
     ports: &'a mut Ports,
     topic: &'a str,
@@ -164,7 +161,7 @@ impl<P: AnyPort> TopicVisitor for PortOpening<'_, P> {
 }
 
 /// # Safety
-/// `stage` and `topic` are as the header says.
+/// `stage` and `topic` are as the header requires.
 unsafe fn open<P: AnyPort>(
     stage: *mut FlockeyeStage,
     topic: *const c_char,
@@ -215,7 +212,7 @@ pub unsafe extern "C" fn flockeye_advertise(
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn flockeye_subscriber_close(subscriber: *mut FlockeyeSubscriber) {
     if !subscriber.is_null() {
-        // SAFETY: the caller's promise; it is of `flockeye_subscribe`.
+        // SAFETY: the caller's promise; the pointer is from `flockeye_subscribe`.
         drop(unsafe { Box::from_raw(subscriber) });
     }
 }
@@ -227,12 +224,12 @@ pub unsafe extern "C" fn flockeye_subscriber_close(subscriber: *mut FlockeyeSubs
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn flockeye_publisher_close(publisher: *mut FlockeyePublisher) {
     if !publisher.is_null() {
-        // SAFETY: the caller's promise; it is of `flockeye_advertise`.
+        // SAFETY: the caller's promise; the pointer is from `flockeye_advertise`.
         drop(unsafe { Box::from_raw(publisher) });
     }
 }
 
-/// The next message that waits; see `stage.h`.
+/// Receives the next waiting message; see `stage.h`.
 ///
 /// # Safety
 /// `subscriber` is open, and `message` can be written.
@@ -243,9 +240,9 @@ pub unsafe extern "C" fn flockeye_receive(
 ) -> c_int {
     // SAFETY: the caller's promise.
     let subscriber = unsafe { &mut *subscriber };
-    // SAFETY: the caller's promise. Released without a message, it does no harm.
+    // SAFETY: the caller's promise. Releasing an empty message has no effect.
     unsafe { message.write(FlockeyeMessage::NONE) };
-    failure::code(subscriber.0.receive().map_err(Into::into).map(|received| match received {
+    failure::code((subscriber.0)().map_err(Into::into).map(|received| match received {
         Some(received) => {
             // SAFETY: the caller's promise.
             unsafe { message.write(received) };
@@ -255,20 +252,20 @@ pub unsafe extern "C" fn flockeye_receive(
     }))
 }
 
-/// Gives a message's memory back.
+/// Releases the memory of a message.
 ///
 /// # Safety
-/// `message` is of [`flockeye_receive`] or was released before, and its header and items are not
-/// used any more.
+/// `message` is from [`flockeye_receive`] or was released before. Its header and items are not used
+/// any more.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn flockeye_release(message: *mut FlockeyeMessage) {
     // SAFETY: the caller's promise.
     let released = unsafe { std::ptr::replace(message, FlockeyeMessage::NONE) };
-    // SAFETY: it is of `flockeye_receive`, or null.
+    // SAFETY: the pointer is from `flockeye_receive`, or null.
     drop(unsafe { from_owner(released.owner) });
 }
 
-/// Memory for a message; see `stage.h`.
+/// Loans memory for a message; see `stage.h`.
 ///
 /// # Safety
 /// `publisher` is open, and `loan` can be written.
@@ -280,7 +277,7 @@ pub unsafe extern "C" fn flockeye_loan_items(
 ) -> c_int {
     // SAFETY: the caller's promise.
     let publisher = unsafe { &*publisher };
-    // SAFETY: the caller's promise. Dropped without memory, it does no harm.
+    // SAFETY: the caller's promise. Dropping an empty loan has no effect.
     unsafe { loan.write(FlockeyeLoan::NONE) };
     failure::code(publisher.0.loan(count).map_err(Into::into).map(|lent| {
         // SAFETY: the caller's promise.
@@ -292,7 +289,7 @@ pub unsafe extern "C" fn flockeye_loan_items(
 /// Sends a loan under this header; see `stage.h`.
 ///
 /// # Safety
-/// `publisher` is open, `loan` is of [`flockeye_loan_items`], and `header` points to the topic's
+/// `publisher` is open, `loan` is from [`flockeye_loan_items`], and `header` points to the topic's
 /// header.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn flockeye_send_loan(
@@ -302,25 +299,25 @@ pub unsafe extern "C" fn flockeye_send_loan(
 ) -> c_int {
     // SAFETY: the caller's promise.
     let publisher = unsafe { &*publisher };
-    // SAFETY: the same.
+    // SAFETY: the caller's promise.
     let lent = unsafe { std::ptr::replace(loan, FlockeyeLoan::NONE) };
-    // SAFETY: the same.
+    // SAFETY: the caller's promise.
     let unsent = unsafe { from_owner(lent.owner) }.context("the loan was sent or dropped before");
-    // SAFETY: the same.
+    // SAFETY: the caller's promise.
     failure::code(
         unsent.and_then(|unsent| unsafe { publisher.0.send(unsent, header) }).map(|()| OK),
     )
 }
 
-/// Gives a loan back unsent.
+/// Drops a loan without sending it.
 ///
 /// # Safety
-/// `loan` is of [`flockeye_loan_items`].
+/// `loan` is from [`flockeye_loan_items`].
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn flockeye_drop_loan(loan: *mut FlockeyeLoan) {
     // SAFETY: the caller's promise.
     let dropped = unsafe { std::ptr::replace(loan, FlockeyeLoan::NONE) };
-    // SAFETY: it is of `flockeye_loan_items`, or null.
+    // SAFETY: the pointer is from `flockeye_loan_items`, or null.
     drop(unsafe { from_owner(dropped.owner) });
 }
 
@@ -340,11 +337,11 @@ pub unsafe extern "C" fn flockeye_send(
     let sent = publisher.0.loan(count).map_err(anyhow::Error::from).and_then(|loan| {
         if count > 0 {
             let bytes = count * publisher.0.item_bytes();
-            // SAFETY: the loan has room for so many items, which are the caller's, and the two are
-            // apart.
+            // SAFETY: the loan has room for `count` items. The caller's items do not overlap with
+            // it.
             unsafe { std::ptr::copy_nonoverlapping(items.cast::<u8>(), loan.items.cast(), bytes) };
         }
-        // SAFETY: it was just made, and nobody else has it.
+        // SAFETY: the loan is new, and no other code has its pointer.
         let unsent = unsafe { from_owner(loan.owner) }.context("a new loan has its memory")?;
         // SAFETY: the caller's promise.
         unsafe { publisher.0.send(unsent, header) }
@@ -352,7 +349,7 @@ pub unsafe extern "C" fn flockeye_send(
     failure::code(sent.map(|()| OK))
 }
 
-/// Gives late subscribers what the topic keeps for them; see `stage.h`.
+/// Sends the kept messages of the topic to late subscribers; see `stage.h`.
 ///
 /// # Safety
 /// `publisher` is open.

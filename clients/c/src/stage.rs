@@ -1,4 +1,4 @@
-//! A stage: it joins, runs its loop, sends health, ends.
+//! A stage: joining the pipeline, the loop, health messages and the end.
 
 use std::cell::Cell;
 use std::ffi::{CStr, c_char, c_int, c_void};
@@ -16,17 +16,19 @@ use flockeye_runtime::{Step, clock};
 use crate::configuration::StageConfiguration;
 use crate::failure::{self, OK};
 
-/// A function that handles what waits. Anything but 0 ends the stage with an error.
+/// A function that handles the waiting messages. A return value other than 0 ends the stage with an
+/// error.
 pub type StepFunction = unsafe extern "C" fn(context: *mut c_void) -> c_int;
 
 /// A stage that has joined its pipeline. One thread uses it.
 pub struct FlockeyeStage {
-    // The two are borrowed apart: while the loop has the process, the step asks for what is known.
+    // Two fields, because they are borrowed separately: the loop borrows `process` mutably while a
+    // step reads `known`.
     process: StageRuntime,
     known: Known,
 }
 
-/// What a step may ask for.
+/// The state that a step may read.
 pub(crate) struct Known {
     pub(crate) configuration: StageConfiguration,
     identity: Identity,
@@ -60,7 +62,7 @@ impl FlockeyeStage {
         // SAFETY: the caller's promise.
         let is_running = unsafe { known(stage) }.is_running.get();
         ensure!(!is_running, "ports are opened before `flockeye_stage_run`, not in a step");
-        // SAFETY: the caller's promise; the loop does not run, so nobody else has the process.
+        // SAFETY: the caller's promise; the loop does not run, so `process` is not borrowed.
         Ok(unsafe { &mut (*stage).process.ports })
     }
 }
@@ -97,12 +99,12 @@ pub unsafe extern "C" fn flockeye_stage_open(name: *const c_char) -> *mut Flocke
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn flockeye_stage_close(stage: *mut FlockeyeStage) {
     if !stage.is_null() {
-        // SAFETY: the caller's promise; it is of `flockeye_stage_open`.
+        // SAFETY: the caller's promise; the pointer is from `flockeye_stage_open`.
         drop(unsafe { Box::from_raw(stage) });
     }
 }
 
-/// Which of the stage's workers this is, from 0.
+/// The number of this worker among the workers of the stage, from 0.
 ///
 /// # Safety
 /// `stage` is open.
@@ -112,7 +114,7 @@ pub unsafe extern "C" fn flockeye_stage_replica(stage: *const FlockeyeStage) -> 
     unsafe { known(stage) }.identity.replica
 }
 
-/// How often the worker's process was replaced.
+/// The number of times that the worker's process was replaced.
 ///
 /// # Safety
 /// `stage` is open.
@@ -150,7 +152,7 @@ unsafe fn run(
     let (known, detail) = unsafe { (known(stage), text_of(detail)?) };
     ensure!(!known.is_running.replace(true), "the stage runs already");
     known.counters.set_detail(detail);
-    // SAFETY: the caller's promise. Until the loop ends, steps reach the other field alone.
+    // SAFETY: the caller's promise. Until the loop ends, steps read only `known`.
     let process = unsafe { &mut (*stage).process };
     let outcome = process.report(StageState::Ready).and_then(|()| {
         process.serve(|| {
@@ -171,7 +173,7 @@ unsafe fn run(
     outcome
 }
 
-/// Asks for the next step after so many nanoseconds at the latest.
+/// Requests the next step within `ns` nanoseconds.
 ///
 /// # Safety
 /// `stage` is open.
@@ -181,7 +183,7 @@ pub unsafe extern "C" fn flockeye_stage_wake_within(stage: *const FlockeyeStage,
     unsafe { known(stage) }.wake_within_ns.set(Some(ns.clamp(0, 1_000_000_000)));
 }
 
-/// Counts something that cannot be worked with, and logs it; see `stage.h`.
+/// Counts an invalid message or input, and logs it; see `stage.h`.
 ///
 /// # Safety
 /// `stage` is open, and `what` is a string.
@@ -211,7 +213,7 @@ pub unsafe extern "C" fn flockeye_stage_complain(
     known.listening.complain_of_silence(StageName::Detection, worker, count, detail);
 }
 
-/// The header that a detection owes for a view; see `stage.h`.
+/// The header of the detection record for a view; see `stage.h`.
 ///
 /// # Safety
 /// `stage` is open, `view` is a view's header, and `answer` can be written.

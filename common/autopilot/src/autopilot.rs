@@ -1,4 +1,4 @@
-//! The autopilot as callers have it, and the threads that talk to it.
+//! The autopilot's interface for callers, and the threads of its line.
 
 use std::io;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::Relaxed};
@@ -20,11 +20,12 @@ use crate::odometry::OdometryState;
 use crate::timesync::TimeOffset;
 use flockeye_runtime::lock::lock;
 
-/// The shortest and longest wait before a line that is not there is tried again.
+/// Minimum and maximum wait before a line that failed is opened again.
 const RETRY: [Duration; 2] = [Duration::from_millis(500), Duration::from_secs(5)];
-/// A line that was open for so long is a line: its loss is said, and it is tried again soon.
+/// Time after which an open line counts as steady: its loss is logged again, and it is soon
+/// retried.
 const STEADY: Duration = Duration::from_secs(5);
-/// The longest that the thread that sends waits.
+/// Maximum wait of the sending thread.
 const LONGEST_WAIT: Duration = Duration::from_millis(100);
 
 /// The drone's autopilot, until dropped. Threads of its own send and receive; no method waits for
@@ -35,31 +36,31 @@ pub struct AutopilotLine {
     thread: Option<JoinHandle<()>>,
 }
 
-/// What is known of the line.
+/// State of the line.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct AutopilotStatus {
-    /// Whether the line is open. It may be, and nobody at its other end.
+    /// Whether the line is open. Even then there may be no autopilot at its other end.
     pub is_open: bool,
-    /// Whether our vehicle's autopilot was heard within the last three seconds.
+    /// Whether a message of this vehicle's autopilot arrived within the last three seconds.
     pub is_heard: bool,
-    /// The autopilot's clock; none while it is not known.
+    /// Offset of the autopilot's clock; none while it is unknown.
     pub time_offset: Option<TimeOffset>,
     /// Messages that were sent.
     pub sent: u64,
-    /// Messages that went nowhere: nobody was there, or the line took no more.
+    /// Messages that were dropped: nothing received them, or the line was full.
     pub dropped: u64,
     /// Messages of the autopilot that were received.
     pub received: u64,
 }
 
-/// What the caller and the threads share.
+/// State that the caller and the threads share.
 #[derive(Debug)]
 struct LineState {
     address: MavlinkAddress,
     system_id: u8,
     component_id: u8,
     core: Mutex<Core>,
-    /// Something is to be sent sooner, or the threads shall stop.
+    /// Signals that a message is due sooner, or that the threads must stop.
     changed: Condvar,
     is_stopping: AtomicBool,
     is_open: AtomicBool,
@@ -69,11 +70,11 @@ struct LineState {
 }
 
 impl AutopilotLine {
-    /// Begins to talk to the autopilot. A line that is not there is tried again in the background.
+    /// Starts the threads of the line. A line that cannot be opened is retried in the background.
     ///
     /// # Errors
-    /// [`AutopilotError::Link`] for an address that is none, [`AutopilotError::Thread`] where the
-    /// system gives no thread. The other settings are checked with the configuration.
+    /// [`AutopilotError::Link`] for an invalid address, [`AutopilotError::Thread`] where no thread
+    /// can be started. The other settings are checked with the configuration.
     pub fn open(settings: &Autopilot) -> Result<Self, AutopilotError> {
         let address = MavlinkAddress::parse(&settings.link)
             .map_err(|reason| AutopilotError::Link { found: settings.link.clone(), reason })?;
@@ -101,24 +102,24 @@ impl AutopilotLine {
         Ok(Self { state, thread: Some(thread) })
     }
 
-    /// Sends the autopilot a neighbour's state as soon as its rate and the line allow; a newer
-    /// state of the same neighbour replaces one that has not been sent. Returns at once.
+    /// Sends a neighbour's state to the autopilot as soon as its rate and the line allow. A newer
+    /// state of the same neighbour replaces one that waits. Returns at once.
     ///
     /// # Errors
-    /// [`AutopilotError::Neighbour`] for a state that no autopilot could use,
-    /// [`AutopilotError::TooManyNeighbours`] where 64 others are seen.
+    /// [`AutopilotError::Neighbour`] for an invalid state, [`AutopilotError::TooManyNeighbours`]
+    /// where 64 others are fresh.
     pub fn neighbour(&self, state: &NeighbourState) -> Result<(), AutopilotError> {
         lock(&self.state.core).on_neighbour(state, clock::monotonic_ns())?;
         self.state.changed.notify_all();
         Ok(())
     }
 
-    /// How this drone moves by the autopilot's newest estimate; each once.
+    /// The autopilot's newest estimate of this drone's motion; each is returned once.
     pub fn take_odometry(&self) -> Option<OdometryState> {
         lock(&self.state.core).take_odometry()
     }
 
-    /// What is known of the line.
+    /// State of the line.
     pub fn status(&self) -> AutopilotStatus {
         let now_ns = clock::monotonic_ns();
         let (is_heard, time_offset) = {
@@ -150,7 +151,7 @@ impl Drop for AutopilotLine {
 
 impl LineState {
     fn stop(&self) {
-        // With the lock, or a thread that is about to wait would miss it.
+        // The lock prevents that a thread which is about to wait misses the signal.
         let core = lock(&self.core);
         self.is_stopping.store(true, Relaxed);
         drop(core);
@@ -161,7 +162,7 @@ impl LineState {
         self.is_stopping.load(Relaxed)
     }
 
-    /// Waits for so long, or until the threads shall stop.
+    /// Waits for `time`, or until the threads must stop.
     fn pause(&self, time: Duration) {
         let began = Instant::now();
         let mut core = lock(&self.core);
@@ -171,7 +172,7 @@ impl LineState {
         }
     }
 
-    /// Opens the line again and again. What is wrong with it is said once, until it has worked
+    /// Opens the line again after each loss. An error is logged once, until the line has worked
     /// again.
     fn run(&self) {
         let mut backoff = Backoff::new(RETRY[0], RETRY[1]);
@@ -199,7 +200,7 @@ impl LineState {
         }
     }
 
-    /// Talks until the line is lost, or the threads shall stop.
+    /// Reads and writes until the line is lost, or the threads must stop.
     fn serve(&self, mut reader: LineReader, mut writer: LineWriter) -> io::Result<()> {
         lock(&self.core).on_line();
         self.is_open.store(true, Relaxed);
@@ -276,14 +277,14 @@ impl LineState {
                         self.address
                     );
                 }
-                // What else was due is old when the line takes it.
+                // The other due messages would be stale when the line accepts them.
                 break;
             }
         }
         Ok(())
     }
 
-    /// Waits for something to send.
+    /// Waits for due messages.
     fn due(&self) -> Vec<crate::messages::Outgoing> {
         let mut core = lock(&self.core);
         let now_ns = clock::monotonic_ns();

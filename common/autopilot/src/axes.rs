@@ -1,4 +1,4 @@
-//! Between the axes of MAVLink and those of REP-103.
+//! Conversions between the axes of MAVLink and those of REP-103.
 //!
 //! MAVLink: body x forward, y right, z down (FRD), world x north, y east, z down (NED). REP-103:
 //! body x forward, y left, z up (FLU), world x east, y north, z up (ENU). Both changes are half
@@ -18,7 +18,7 @@ pub fn enu_from_ned() -> UnitQuaternion<f64> {
     UnitQuaternion::from_axis_angle(&Unit::new_normalize(Vector3::new(1.0, 1.0, 0.0)), PI)
 }
 
-/// A vector of body axes in the other body axes. Exact: signs change, nothing is rounded.
+/// Converts a vector between the two body axes. It is exact: only signs change.
 pub fn flip(vector: &Vector3<f64>) -> Vector3<f64> {
     Vector3::new(vector.x, -vector.y, -vector.z)
 }
@@ -30,11 +30,11 @@ pub fn to_wxyz(rotation: &UnitQuaternion<f64>) -> [f32; 4] {
     [q.w, q.i, q.j, q.k].map(|part| (sign * part) as f32)
 }
 
-/// A rotation from MAVLink's order w, x, y, z; none where the numbers are no unit quaternion.
+/// A rotation from MAVLink's order w, x, y, z; none where the numbers are not a unit quaternion.
 pub fn from_wxyz([w, x, y, z]: [f32; 4]) -> Option<UnitQuaternion<f64>> {
     let [w, x, y, z] = [w, x, y, z].map(f64::from);
     let quaternion = Quaternion::new(w, x, y, z);
-    // Autopilots send single precision; a norm that is further off is no rounding.
+    // Autopilots send single precision; a larger error of the norm cannot be rounding.
     let is_unit = (quaternion.norm() - 1.0).abs() < 1e-2;
     is_unit.then(|| UnitQuaternion::new_normalize(quaternion))
 }

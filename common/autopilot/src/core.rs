@@ -1,4 +1,5 @@
-//! What is sent when, and what received messages change. It has no line, no thread and no clock.
+//! Timing of sent messages, and the state from received ones. It has no line, no thread and no
+//! clock.
 
 use std::collections::VecDeque;
 
@@ -18,19 +19,19 @@ use crate::odometry::{OdometryHistory, OdometryState};
 use crate::pace::Pace;
 use crate::timesync::{TimeOffset, Timesync};
 
-/// A neighbour that was last seen longer ago is left out, nanoseconds. An older pose says little of
-/// where an obstacle is.
+/// Maximum age of a neighbour's pose, nanoseconds: an older pose is too inaccurate for an obstacle.
 const MAX_AGE_NS: i64 = 500_000_000;
-/// Without a message for so long, an autopilot is asked to send it, nanoseconds.
+/// Time without a message after which the autopilot is requested to send it, nanoseconds.
 const MISSED_NS: i64 = 2_000_000_000;
-/// Questions for our time that wait for their answer.
+/// Maximum time requests of the autopilot that wait for their answer.
 const MAX_QUESTIONS: usize = 8;
 
-/// The messages that say how the drone moves; the first says all.
+/// The messages with the drone's motion; the first contains all of it.
 const MOTION: [u32; 3] =
     [ODOMETRY_DATA::ID, LOCAL_POSITION_NED_DATA::ID, ATTITUDE_QUATERNION_DATA::ID];
 
-/// Neighbours, times and messages in, messages out.
+/// The state of the line: it takes neighbours and received messages, and returns the messages to
+/// send.
 #[derive(Debug)]
 pub struct Core {
     settings: Autopilot,
@@ -38,7 +39,7 @@ pub struct Core {
     neighbours: Neighbours,
     timesync: Timesync,
     odometry: OdometryHistory,
-    /// The autopilot's questions that are not answered yet.
+    /// Time requests of the autopilot that are not answered yet.
     questions: VecDeque<TIMESYNC_DATA>,
     time_due_ns: i64,
     heartbeats: Pace,
@@ -48,14 +49,15 @@ pub struct Core {
     /// The time of the obstacles that were sent last, on the autopilot's clock, milliseconds.
     obstacles_ms: i64,
     heard_ns: Option<i64>,
-    /// When each of [`MOTION`] came last.
+    /// Time of the last message of each of [`MOTION`].
     moved_ns: [Option<i64>; 3],
     other_system: Option<u32>,
 }
 
 impl Core {
-    /// The settings are checked by the caller. Messages have UTC as it was then: a clock that never
-    /// leaps, however the system's is set, need be related to the autopilot's only once.
+    /// A core with settings that the caller has checked. Messages have UTC by this fixed offset.
+    /// Such a clock never jumps, even if the system's clock is set, so it is synchronised with the
+    /// autopilot's only once.
     pub fn new(settings: Autopilot, utc_less_monotonic_ns: i64) -> Self {
         Self {
             utc_less_monotonic_ns,
@@ -80,10 +82,10 @@ impl Core {
         }
     }
 
-    /// Takes in where a neighbour is.
+    /// Takes the state of a neighbour.
     ///
     /// # Errors
-    /// The state is one that no autopilot could use, or there are too many neighbours.
+    /// The state is invalid, or there are too many neighbours.
     pub fn on_neighbour(
         &mut self,
         state: &NeighbourState,
@@ -92,8 +94,8 @@ impl Core {
         self.neighbours.update(state, now_ns)
     }
 
-    /// Takes in a message that arrived at `arrived_ns`. Returns whether the autopilot of our
-    /// vehicle sent it; all others change nothing.
+    /// Takes a message that arrived at `arrived_ns`. Returns whether this vehicle's autopilot sent
+    /// it; all others change nothing.
     pub fn on_message(&mut self, sender: MavHeader, message: &MavMessage, arrived_ns: i64) -> bool {
         if sender.component_id != AUTOPILOT {
             return false;
@@ -127,12 +129,13 @@ impl Core {
             }
             self.questions.push_back(time.clone());
         } else if self.timesync.on_answer(time.tc1, time.ts1, arrived_ns) {
-            // The autopilot started again, and where it began is another place.
+            // The autopilot was restarted, so its origin is another.
             self.odometry.restart();
         }
     }
 
-    /// The line was opened again: another autopilot may be at its end.
+    /// Resets the state after the line was opened again, because another autopilot may be at its
+    /// end.
     pub fn on_line(&mut self) {
         self.timesync = Timesync::default();
         self.odometry.restart();
@@ -142,7 +145,7 @@ impl Core {
         self.moved_ns = [None; 3];
     }
 
-    /// What is to be sent at `now_ns`, at once and in this order: what depends on the time first.
+    /// Messages to send at `now_ns`, in this order: those that depend on the time come first.
     pub fn due(&mut self, now_ns: i64) -> Vec<Outgoing> {
         let mut due = Vec::new();
         let Autopilot { system_id, obstacle_range_m, .. } = self.settings;
@@ -174,7 +177,8 @@ impl Core {
                 let boot_ns =
                     offset.map_or(seen_ns, |offset| offset.autopilot_from_monotonic(seen_ns));
                 let boot_ms = boot_ns.div_euclid(1_000_000);
-                // Another time each, or those that are gone would stay with the autopilot.
+                // Each message needs another time, or the autopilot would keep obstacles that are
+                // gone.
                 let is_same = boot_ms == self.obstacles_ms;
                 self.obstacles_ms = boot_ms.saturating_add(i64::from(is_same));
                 let time_boot_ms = low_bits(self.obstacles_ms);
@@ -201,8 +205,8 @@ impl Core {
         due
     }
 
-    /// The messages of [`MOTION`] that do not come. Those that come are not asked for: somebody
-    /// else may have asked for them, and more often.
+    /// The messages of [`MOTION`] that do not arrive. Others are not requested, because another
+    /// program may have requested them at a higher rate.
     fn missed(&self, now_ns: i64) -> impl Iterator<Item = u32> {
         let comes = self
             .moved_ns
@@ -214,7 +218,7 @@ impl Core {
             .map(|(id, _)| id)
     }
 
-    /// When there is something to send next, if nothing happens before.
+    /// Time of the next due message, if nothing arrives before.
     pub fn next_due_ns(&self, now_ns: i64) -> i64 {
         if !self.questions.is_empty() {
             return now_ns;
@@ -232,29 +236,29 @@ impl Core {
         due_ns.fold(self.time_due_ns, i64::min)
     }
 
-    /// Whether the autopilot was heard within the last seconds.
+    /// Whether a message of the autopilot arrived within the last seconds.
     pub fn is_heard(&self, now_ns: i64) -> bool {
         let silent_ns = crate::link::SILENT.as_nanos() as i64;
         self.heard_ns.is_some_and(|heard_ns| now_ns.saturating_sub(heard_ns) < silent_ns)
     }
 
-    /// The system of an autopilot that was heard, where ours was not.
+    /// System of another autopilot on the line, where messages of ours are missing.
     pub fn other_system(&self) -> Option<u32> {
         self.other_system.filter(|_| self.heard_ns.is_none())
     }
 
-    /// The autopilot's clock, where it is known.
+    /// Offset of the autopilot's clock, where it is known.
     pub fn time_offset(&self, now_ns: i64) -> Option<TimeOffset> {
         self.timesync.offset(now_ns)
     }
 
-    /// How the drone moves by the newest estimate; each once.
+    /// The newest estimate of the drone's motion; each is returned once.
     pub fn take_odometry(&mut self) -> Option<OdometryState> {
         self.odometry.take_newest()
     }
 }
 
-/// Milliseconds as the message has them: 32 bits, which begin anew after 49 days.
+/// Milliseconds in the message's 32 bits, which start again from 0 after 49 days.
 fn low_bits(ms: i64) -> u32 {
     (ms & i64::from(u32::MAX)) as u32
 }

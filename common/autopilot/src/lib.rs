@@ -1,5 +1,5 @@
-//! The line to the drone's autopilot (PX4, ArduPilot) over MAVLink 2: neighbours go out, the
-//! drone's motion comes in.
+//! The line to the drone's autopilot (PX4, ArduPilot) over MAVLink 2: it sends neighbours, and
+//! receives the drone's motion.
 //!
 //! ```no_run
 //! use flockeye_autopilot::{AutopilotLine, NeighbourState};
@@ -25,21 +25,22 @@
 //! # Ok::<(), flockeye_autopilot::AutopilotError>(())
 //! ```
 //!
-//! What goes out: `TARGET_RELATIVE` for one neighbour, `OBSTACLE_DISTANCE_3D` for all, `HEARTBEAT`,
-//! `TIMESYNC`. What comes in: `TIMESYNC`, `ODOMETRY`, `LOCAL_POSITION_NED`, `ATTITUDE_QUATERNION`.
+//! Sent messages: `TARGET_RELATIVE` for one neighbour, `OBSTACLE_DISTANCE_3D` for all, `HEARTBEAT`,
+//! `TIMESYNC`. Received messages: `TIMESYNC`, `ODOMETRY`, `LOCAL_POSITION_NED`,
+//! `ATTITUDE_QUATERNION`.
 //!
 //! | module | what it does |
 //! | --- | --- |
-//! | [`core`] | what is sent when, and what received messages change; without line, thread and clock |
+//! | [`core`] | timing of sent messages, and state from received ones; no line, thread or clock |
 //! | [`messages`] | states as MAVLink messages |
-//! | `timesync` | the autopilot's clock |
-//! | `odometry` | how the drone moves |
+//! | `timesync` | the offset of the autopilot's clock |
+//! | `odometry` | the drone's motion |
 //! | `neighbours` | the newest state of each neighbour |
-//! | `pace` | rates that are held |
-//! | `axes` | between the axes of MAVLink and REP-103 |
+//! | `pace` | rate limits |
+//! | `axes` | conversions between the axes of MAVLink and REP-103 |
 //! | [`link`] | the line: UDP or serial |
 //!
-//! `docs/AUTOPILOT.md` describes it for users.
+//! `docs/AUTOPILOT.md` describes the line for users.
 
 mod axes;
 pub mod core;

@@ -1,4 +1,4 @@
-//! The line to the autopilot: opened, read and written, each without blocking for long.
+//! The line to the autopilot: opening, reading and writing, each without blocking for long.
 
 mod decoder;
 mod patience;
@@ -14,7 +14,7 @@ use mavlink::dialects::development::MavMessage;
 pub use decoder::decode;
 pub(crate) use patience::SILENT;
 
-/// The half that receives.
+/// The receiving half of the line.
 pub enum LineReader {
     /// Datagrams.
     Udp(udp::UdpLine),
@@ -22,7 +22,7 @@ pub enum LineReader {
     Serial(serial::SerialReader),
 }
 
-/// The half that sends.
+/// The sending half of the line.
 pub enum LineWriter {
     /// Datagrams.
     Udp(udp::UdpLine),
@@ -33,7 +33,8 @@ pub enum LineWriter {
 /// Opens the line.
 ///
 /// # Errors
-/// The address is not this machine's or is taken, the host is unknown, or the device is not there.
+/// The address is not this machine's or is in use, the host is unknown, or the device does not
+/// exist.
 pub fn open(address: &MavlinkAddress) -> io::Result<(LineReader, LineWriter)> {
     let line = match address {
         MavlinkAddress::UdpIn(address) => udp::listen(*address)?,
@@ -47,8 +48,8 @@ pub fn open(address: &MavlinkAddress) -> io::Result<(LineReader, LineWriter)> {
 }
 
 impl LineReader {
-    /// Waits a short time, and hands on the messages that came. `hear` says whether it was the
-    /// autopilot who spoke.
+    /// Waits a short time, and passes on the messages that arrived. `hear` returns whether the
+    /// autopilot sent a message.
     ///
     /// # Errors
     /// The line is lost.
@@ -61,8 +62,7 @@ impl LineReader {
 }
 
 impl LineWriter {
-    /// Sends a message; false where it went nowhere: nobody is there yet, or the line takes no
-    /// more.
+    /// Sends a message; false where it was dropped: nothing receives yet, or the line is full.
     ///
     /// # Errors
     /// The line is lost.

@@ -1,4 +1,4 @@
-//! What is sent, as MAVLink messages. Pure: states and times in, messages out.
+//! Conversion of states and times to MAVLink messages, as pure functions.
 //!
 //! `TARGET_RELATIVE` (511) is of MAVLink's development messages, `OBSTACLE_DISTANCE_3D` (11037) of
 //! ArduPilot's; the definitions are in `development.xml` and `ardupilotmega.xml` of
@@ -18,23 +18,23 @@ use crate::neighbour::NeighbourState;
 /// The autopilot's component.
 pub const AUTOPILOT: u8 = 1;
 
-/// What is sent to the autopilot.
+/// A message to the autopilot.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Outgoing {
-    /// An onboard computer is here.
+    /// Presence of an onboard computer.
     Heartbeat(HEARTBEAT_DATA),
-    /// A question for the time, or an answer.
+    /// A time request, or an answer to one.
     Timesync(TIMESYNC_DATA),
     /// The target.
     Target(TARGET_RELATIVE_DATA),
-    /// A neighbour in the way.
+    /// A neighbour as an obstacle.
     Obstacle(OBSTACLE_DISTANCE_3D_DATA),
-    /// The autopilot is to send a message.
+    /// A request to send a message.
     Command(COMMAND_LONG_DATA),
 }
 
 impl Outgoing {
-    /// The message as bytes go over the line.
+    /// The encoded message.
     pub fn frame(&self, header: MavHeader) -> MAVLinkV2MessageRaw {
         fn whole<D: MessageData>(header: MavHeader, message: &D) -> MAVLinkV2MessageRaw {
             let mut raw = MAVLinkV2MessageRaw::new();
@@ -51,9 +51,8 @@ impl Outgoing {
     }
 }
 
-/// Where the target is: position and attitude along the body's axes (FRD), with standard
-/// deviations. With the drone's attitude at the exposure the receiver can turn it to NED without
-/// guessing which attitude it had then.
+/// The target's position and attitude along the body's axes (FRD), with standard deviations. The
+/// drone's attitude at the exposure lets the receiver rotate it to NED without a guess.
 pub fn target(
     id: u8,
     state: &NeighbourState,
@@ -63,7 +62,7 @@ pub fn target(
     let pose = state.observer_from_target;
     let position = flip(&pose.translation.vector);
     let deviation = |place: usize| state.covariance[(place, place)].max(0.0).sqrt() as f32;
-    // Zeros: the receiver uses its own attitude.
+    // With zeros the receiver uses its own attitude.
     let q_sensor = enu_from_base.map_or([0.0; 4], |enu_from_base| {
         to_wxyz(&(enu_from_ned() * enu_from_base * flu_from_frd()))
     });
@@ -72,7 +71,7 @@ pub fn target(
         x: position.x as f32,
         y: position.y as f32,
         z: position.z as f32,
-        // Turning an axis over leaves its deviation.
+        // Flipping an axis does not change its standard deviation.
         pos_std: [deviation(0), deviation(1), deviation(2)],
         yaw_std: deviation(5),
         q_target: to_wxyz(&(flu_from_frd() * pose.rotation * flu_from_frd())),
@@ -83,9 +82,8 @@ pub fn target(
     }
 }
 
-/// A neighbour as an obstacle at a point of the body's axes (FRD). `time_boot_ms` is the same for
-/// all obstacles that are seen together, and another for those that are seen next: ArduPilot
-/// forgets the obstacles of another time.
+/// A neighbour as an obstacle at a point of the body's axes (FRD). `time_boot_ms` is equal for all
+/// obstacles of one frame, and differs for the next: ArduPilot drops the obstacles of another time.
 pub fn obstacle(
     id: u8,
     state: &NeighbourState,
@@ -106,7 +104,7 @@ pub fn obstacle(
     }
 }
 
-/// The message that an onboard computer is here.
+/// The heartbeat of an onboard computer.
 pub fn heartbeat() -> HEARTBEAT_DATA {
     HEARTBEAT_DATA {
         custom_mode: 0,
@@ -118,12 +116,12 @@ pub fn heartbeat() -> HEARTBEAT_DATA {
     }
 }
 
-/// A question for the autopilot's time.
+/// A request for the autopilot's time.
 pub fn time_request(system: u8, stamp: i64) -> TIMESYNC_DATA {
     TIMESYNC_DATA { tc1: 0, ts1: stamp, target_system: system, target_component: AUTOPILOT }
 }
 
-/// The answer to a question for our time, from this system and component.
+/// The answer to a time request, from this system and component.
 pub fn time_answer(
     request: &TIMESYNC_DATA,
     system: u8,
@@ -138,7 +136,7 @@ pub fn time_answer(
     }
 }
 
-/// Asks the autopilot to send a message so often.
+/// A request to the autopilot to send a message at a rate of `hz`.
 pub fn ask_for(system: u8, message: u32, hz: f64) -> COMMAND_LONG_DATA {
     COMMAND_LONG_DATA {
         target_system: system,

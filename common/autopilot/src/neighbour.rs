@@ -1,14 +1,14 @@
-//! What is known of one neighbour.
+//! State of one neighbour.
 
 use flockeye_contract::wire::is_name;
 use nalgebra::{Isometry3, Matrix6};
 
 use crate::error::AutopilotError;
 
-/// A neighbour that is further away is none, metres: no camera sees a drone there.
+/// Maximum distance of a neighbour, metres: no camera detects a drone beyond it.
 const FARTHEST_M: f64 = 10_000.0;
 
-/// Where a neighbour is seen.
+/// Pose of a neighbour at an exposure.
 #[derive(Debug, Clone, PartialEq)]
 pub struct NeighbourState {
     /// Its name: 1 to 31 letters, digits, '-', '_' or '.'.
@@ -25,15 +25,15 @@ pub struct NeighbourState {
 }
 
 impl NeighbourState {
-    /// How far away it is, metres.
+    /// Its distance, metres.
     pub fn distance_m(&self) -> f64 {
         self.observer_from_target.translation.vector.norm()
     }
 
-    /// Refuses what no autopilot could use.
+    /// Refuses an invalid state.
     ///
     /// # Errors
-    /// [`AutopilotError::Neighbour`] says which part is wrong.
+    /// [`AutopilotError::Neighbour`] names the invalid part.
     pub fn check(&self) -> Result<(), AutopilotError> {
         let wrong = |field, found: String, wanted| {
             Err(AutopilotError::Neighbour { name: self.name.clone(), field, found, wanted })
@@ -49,7 +49,7 @@ impl NeighbourState {
             return Ok(());
         }
         let position = self.observer_from_target.translation.vector;
-        // The test also fails where the position is not a number.
+        // NaN fails this comparison too.
         if !(position.norm() > 0.0 && position.norm() < FARTHEST_M) {
             let found = format!("{:?}", position.as_slice());
             return wrong("its position", found, "finite, not zero and within 10 km");

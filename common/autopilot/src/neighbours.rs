@@ -1,13 +1,13 @@
-//! The newest state of each neighbour, and which states were sent to the autopilot.
+//! The newest state of each neighbour, and whether it was sent to the autopilot.
 
 use crate::error::{AutopilotError, MAX_NEIGHBOURS};
 use crate::neighbour::NeighbourState;
 
-/// The newest state of each neighbour. Bounded: a name that has not been fresh for the longest time
-/// gives way.
+/// The newest state of each neighbour. Their number is bounded: the oldest one that is not fresh is
+/// replaced.
 #[derive(Debug)]
 pub struct Neighbours {
-    /// A neighbour's place is its number in messages: the same as long as it is heard of.
+    /// A neighbour's index is its number in messages, which stays the same while it is kept.
     neighbours: Vec<Neighbour>,
     max_age_ns: i64,
 }
@@ -27,22 +27,22 @@ impl Neighbour {
 
     fn is_fresh(&self, now_ns: i64, max_age_ns: i64) -> bool {
         let age_ns = now_ns.saturating_sub(self.state.exposure_monotonic_ns);
-        // A stamp of the future is none of this machine's clock.
+        // A future time cannot be of this machine's clock.
         !self.state.is_lost && (-max_age_ns..=max_age_ns).contains(&age_ns)
     }
 }
 
 impl Neighbours {
-    /// States count for so long after their exposure, nanoseconds.
+    /// An empty table. States are fresh for `max_age_ns` nanoseconds after their exposure.
     pub fn new(max_age_ns: i64) -> Self {
         Self { neighbours: Vec::with_capacity(MAX_NEIGHBOURS), max_age_ns }
     }
 
-    /// Takes in a state. One that is older than what is known of this neighbour changes nothing.
+    /// Takes a state. One that is older than the known state of this neighbour changes nothing.
     ///
     /// # Errors
-    /// [`AutopilotError::Neighbour`] for a state that no autopilot could use,
-    /// [`AutopilotError::TooManyNeighbours`] where all places are taken by fresh ones.
+    /// [`AutopilotError::Neighbour`] for an invalid state, [`AutopilotError::TooManyNeighbours`]
+    /// where all neighbours in the table are fresh.
     pub fn update(&mut self, state: &NeighbourState, now_ns: i64) -> Result<(), AutopilotError> {
         state.check()?;
         let known = self.neighbours.iter().position(|neighbour| neighbour.state.name == state.name);
@@ -81,7 +81,7 @@ impl Neighbours {
             .any(|(_, neighbour)| neighbour.state.name == name && !neighbour.is_sent_as_target)
     }
 
-    /// The state of the target `name`, once each.
+    /// The state of the target `name`; each is returned once.
     pub fn take_target(&mut self, name: &str, now_ns: i64) -> Option<(u8, &NeighbourState)> {
         let max_age_ns = self.max_age_ns;
         let place = self.neighbours.iter().position(|neighbour| neighbour.state.name == name)?;
@@ -98,8 +98,8 @@ impl Neighbours {
         self.fresh(now_ns).any(|(_, neighbour)| !neighbour.is_sent_as_obstacle)
     }
 
-    /// All fresh states as obstacles, the nearest first, where one of them at least is new. Those
-    /// that are not new go along: a receiver forgets the obstacles of the message before.
+    /// All fresh states as obstacles, the nearest first, if at least one of them is new. Older ones
+    /// are sent again, because a receiver drops the obstacles of the previous message.
     pub fn take_obstacles(&mut self, now_ns: i64) -> Vec<(u8, &NeighbourState)> {
         if !self.has_obstacles(now_ns) {
             return Vec::new();
@@ -122,7 +122,7 @@ impl Neighbours {
     }
 }
 
-/// Places are below [`MAX_NEIGHBOURS`], so they fit.
+/// Indices are below [`MAX_NEIGHBOURS`], so they fit.
 fn id(place: usize) -> u8 {
     u8::try_from(place).unwrap_or(u8::MAX)
 }

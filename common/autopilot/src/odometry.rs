@@ -1,4 +1,4 @@
-//! How the drone itself moves, by the autopilot. It reads no clock.
+//! The drone's own motion from the autopilot. It reads no clock.
 
 mod heard;
 mod instant;
@@ -11,13 +11,13 @@ use crate::timesync::TimeOffset;
 use heard::{AttitudeSample, PositionSample, from_attitude, from_odometry, from_position};
 pub use instant::{OdometryAt, OdometryFrame, OdometryState};
 
-/// A message does not take longer than this from its stamp to us, nanoseconds; one that seems to
-/// has a stamp of another clock.
+/// Maximum time from a message's stamp to its arrival, nanoseconds. A longer time means that the
+/// stamp is of another clock.
 const LONGEST_WAY_NS: i64 = 1_000_000_000;
-/// A message may seem to come so much before its stamp, nanoseconds, because clocks are known so
-/// well only.
+/// Maximum time by which a message may arrive before its stamp, nanoseconds, because the clock
+/// offset has an error.
 const EARLIEST_NS: i64 = 20_000_000;
-/// Position and attitude stand in for `ODOMETRY` where that has not come for so long, nanoseconds.
+/// Time without `ODOMETRY` after which position and attitude replace it, nanoseconds.
 const MISSING_NS: i64 = 500_000_000;
 
 /// The odometry of the last two seconds.
@@ -26,18 +26,18 @@ pub struct OdometryHistory {
     whole: Timeline<OdometryAt>,
     positions: Timeline<PositionSample>,
     attitudes: Timeline<AttitudeSample>,
-    /// The reset counter of `ODOMETRY`: it changes where the autopilot's estimate has leapt.
+    /// The reset counter of `ODOMETRY`, which changes when the autopilot's estimate jumps.
     resets: Option<u8>,
-    /// Rises where the estimate leaps.
+    /// Increases when the estimate jumps.
     epoch: u32,
     /// The state that was taken last: its time, and whether `ODOMETRY` gave it.
     taken: Option<(i64, bool)>,
 }
 
 impl OdometryHistory {
-    /// Takes in `ODOMETRY`, `LOCAL_POSITION_NED` and `ATTITUDE_QUATERNION` that arrived at
-    /// `arrived_ns` (CLOCK_MONOTONIC). Its instant is that of its stamp where the autopilot's clock
-    /// is known, and else that of its arrival.
+    /// Takes `ODOMETRY`, `LOCAL_POSITION_NED` and `ATTITUDE_QUATERNION` that arrived at
+    /// `arrived_ns` (CLOCK_MONOTONIC). Its instant is its stamp where the autopilot's clock is
+    /// known, and its arrival otherwise.
     pub fn on_message(
         &mut self,
         message: &MavMessage,
@@ -72,13 +72,13 @@ impl OdometryHistory {
         }
     }
 
-    /// Forgets everything: another autopilot speaks, or the same one has started again.
+    /// Drops everything: the line has another autopilot, or the same one was restarted.
     pub fn restart(&mut self) {
         let epoch = self.epoch.wrapping_add(1);
         *self = Self { epoch, taken: self.taken, ..Self::default() };
     }
 
-    /// The newest state, once.
+    /// The newest state; each is returned once.
     pub fn take_newest(&mut self) -> Option<OdometryState> {
         let whole = self.whole.newest().map(|(at_ns, odometry)| (*at_ns, *odometry));
         let parts = self.newest_parts();
@@ -90,7 +90,7 @@ impl OdometryHistory {
         let (at_ns, odometry) = whole.or(parts)?;
         if let Some((taken_ns, was_whole)) = self.taken {
             if was_whole != is_whole {
-                // The two have different origins.
+                // `ODOMETRY` and the other two messages have different origins.
                 self.epoch = self.epoch.wrapping_add(1);
             } else if at_ns <= taken_ns {
                 return None;
@@ -117,8 +117,9 @@ impl OdometryHistory {
         Some((at_ns, odometry))
     }
 
-    /// The attitude at this instant of CLOCK_MONOTONIC in ENU axes; none outside the last two
-    /// seconds, in gaps of more than half a second, and where the autopilot does not know north.
+    /// The attitude at this instant of CLOCK_MONOTONIC in ENU axes. None outside the last two
+    /// seconds, and in gaps of more than half a second. None where north is unknown to the
+    /// autopilot.
     pub fn enu_from_base_at(&self, monotonic_ns: i64) -> Option<UnitQuaternion<f64>> {
         let whole = self.whole.at(monotonic_ns).filter(|at| at.frame == OdometryFrame::Enu);
         whole
@@ -127,8 +128,8 @@ impl OdometryHistory {
     }
 }
 
-/// When a sample was taken, CLOCK_MONOTONIC: by its stamp, if that can be of the autopilot's clock,
-/// else by its arrival.
+/// Time of a sample, CLOCK_MONOTONIC: its stamp, if that can be of the autopilot's clock, else its
+/// arrival.
 fn instant_ns(stamp_ns: Option<i64>, arrived_ns: i64, clock: Option<&TimeOffset>) -> i64 {
     let stamped_ns = stamp_ns.zip(clock).map(|(ns, clock)| clock.monotonic_from_autopilot(ns));
     stamped_ns

@@ -1,9 +1,9 @@
-//! When something that is sent again and again may be sent next. It reads no clock.
+//! Rate limit of repeated messages. It reads no clock.
 
-/// Holds a rate: over any time no more than the rate allows, plus two.
+/// Limits a rate: in any time at most as many messages as the rate allows, plus two.
 #[derive(Debug, Clone, Copy)]
 pub struct Pace {
-    /// None: never.
+    /// Minimum time between two messages on average; none: never.
     period_ns: Option<i64>,
     due_ns: i64,
 }
@@ -20,14 +20,14 @@ impl Pace {
         self.period_ns.is_some() && now_ns >= self.due_ns
     }
 
-    /// When it may be sent next; none: never.
+    /// Time from which the next message may be sent; none: never.
     pub fn due_ns(&self) -> Option<i64> {
         self.period_ns.map(|_| self.due_ns)
     }
 
-    /// Notes that it was sent at `now_ns`. What is sent comes with frames, seldom just when it is
-    /// due. So the next is due a period after this one was due: that holds the mean rate. It is due
-    /// half a period from now at the soonest, so that no two follow at once.
+    /// Notes a message that was sent at `now_ns`. Messages follow frames, and are seldom sent
+    /// exactly when due. So the next is due one period after this one was due, which holds the mean
+    /// rate. It is due at least half a period from now, so that no two follow at once.
     pub fn sent(&mut self, now_ns: i64) {
         let Some(period_ns) = self.period_ns else { return };
         self.due_ns =

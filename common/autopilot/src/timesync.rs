@@ -1,68 +1,69 @@
-//! The autopilot's clock, from the answers to our `TIMESYNC` requests. It reads no clock.
+//! Estimate of the autopilot's clock from the answers to our `TIMESYNC` requests. It reads no
+//! clock.
 //!
-//! An answer says what the autopilot's clock read some time between our request and the answer's
-//! arrival. So the clocks' difference lies within half the round trip of the value that the middle
-//! of the round trip gives: the shorter the round trip, the narrower (as in NTP, RFC 5905, section
-//! 8; the messages are those of the [time synchronization
-//! protocol](https://mavlink.io/en/services/timesync.html)). An answer that is older says less,
-//! because clocks drift. The narrowest is taken; a mean would believe delays that are longer one
-//! way.
+//! An answer contains the autopilot's time between our request and the answer's arrival. So the
+//! clock offset lies within half the round trip of the value at its middle. A shorter round trip
+//! gives a narrower bound, as in NTP (RFC 5905, section 8). The messages are those of the [time
+//! synchronization protocol](https://mavlink.io/en/services/timesync.html). The bound of an older
+//! answer is wider, because clocks drift. The answer with the narrowest bound is used. A mean would
+//! be biased by delays that are longer one way.
 
 use std::collections::VecDeque;
 
-/// A longer round trip is not believed, nanoseconds.
+/// Maximum plausible round trip, nanoseconds.
 const LONGEST_ROUND_NS: i64 = 1_000_000_000;
-/// Two clocks drift apart by so much at most: crystals are within 50 parts in a million each.
+/// Maximum drift between two clocks, parts per million: crystals are within 50 each.
 const DRIFT_PPM: i64 = 100;
-/// Answers that are kept.
+/// Maximum answers that are kept.
 const MAX_ANSWERS: usize = 32;
-/// Requests that may still be answered.
+/// Maximum requests that may still be answered.
 const MAX_REQUESTS: usize = 8;
-/// With fewer answers nothing is said of the clock.
+/// Minimum answers for an estimate of the clock.
 const LEAST_ANSWERS: usize = 3;
-/// An answer older than this says nothing, nanoseconds.
+/// Maximum age of an answer, nanoseconds.
 const FORGOTTEN_NS: i64 = 60_000_000_000;
-/// Answers in a row that contradict the others and mean another clock: the autopilot started again.
+/// Answers in a row whose contradiction to the others means another clock: the autopilot was
+/// restarted.
 const CONTRADICTIONS: usize = 3;
-/// What an answer may be off by beyond its round trip, nanoseconds: stamps are taken by programs.
+/// Maximum error of an answer beyond its round trip, nanoseconds: stamps are taken by programs.
 const SLACK_NS: i64 = 1_000_000;
-/// Between requests until the clock is known well, and then, nanoseconds.
+/// Period of requests before and after the clock is known well, nanoseconds.
 const PERIOD_NS: [i64; 2] = [100_000_000, 500_000_000];
 
-/// How the autopilot's clock differs from CLOCK_MONOTONIC.
+/// Offset of the autopilot's clock from CLOCK_MONOTONIC.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct TimeOffset {
     /// The autopilot's clock less CLOCK_MONOTONIC, nanoseconds.
     pub autopilot_less_monotonic_ns: i64,
-    /// It is off by no more than this, nanoseconds.
+    /// Maximum error of the offset, nanoseconds.
     pub bound_ns: i64,
 }
 
 impl TimeOffset {
-    /// An instant of CLOCK_MONOTONIC on the autopilot's clock, nanoseconds.
+    /// Converts an instant of CLOCK_MONOTONIC to the autopilot's clock, nanoseconds.
     pub fn autopilot_from_monotonic(&self, monotonic_ns: i64) -> i64 {
         monotonic_ns.saturating_add(self.autopilot_less_monotonic_ns)
     }
 
-    /// An instant of the autopilot's clock on CLOCK_MONOTONIC, nanoseconds.
+    /// Converts an instant of the autopilot's clock to CLOCK_MONOTONIC, nanoseconds.
     pub fn monotonic_from_autopilot(&self, autopilot_ns: i64) -> i64 {
         autopilot_ns.saturating_sub(self.autopilot_less_monotonic_ns)
     }
 }
 
-/// The estimate of the autopilot's clock. Bounded.
+/// The estimate of the autopilot's clock, from a bounded number of answers.
 #[derive(Debug, Clone, Default)]
 pub struct Timesync {
-    /// `ts1` of each request, which the answer repeats, and when it was sent.
+    /// `ts1` of each request, which the answer repeats, and its time of sending.
     requests: VecDeque<(i64, i64)>,
-    /// When each answer arrived, and what it says.
+    /// Arrival and offset of each answer.
     answers: VecDeque<(i64, TimeOffset)>,
     /// The last answers in a row that contradict the others.
     rivals: Vec<(i64, TimeOffset)>,
 }
 
 impl Timesync {
-    /// Between two requests, nanoseconds.
+    /// Period of requests, nanoseconds.
     pub fn period_ns(&self) -> i64 {
         PERIOD_NS[usize::from(self.answers.len() >= 10 && self.rivals.is_empty())]
     }
@@ -75,9 +76,9 @@ impl Timesync {
         self.requests.push_back((stamp, sent_ns));
     }
 
-    /// Takes in an answer, `tc1` and `ts1`, that arrived at `arrived_ns` (CLOCK_MONOTONIC). Answers
-    /// to what was not asked, or was answered before, change nothing: others ask on the same line.
-    /// Returns whether the autopilot's clock turns out to be another than before.
+    /// Takes an answer, `tc1` and `ts1`, that arrived at `arrived_ns` (CLOCK_MONOTONIC). Answers to
+    /// unknown requests, or a second answer, change nothing: other programs send requests on the
+    /// same line. Returns whether the autopilot's clock is another than before.
     pub fn on_answer(&mut self, autopilot_ns: i64, stamp: i64, arrived_ns: i64) -> bool {
         let place = self.requests.iter().position(|(asked, _)| *asked == stamp);
         let Some((_, sent_ns)) = place.and_then(|place| self.requests.remove(place)) else {
@@ -120,8 +121,8 @@ impl Timesync {
         is_another
     }
 
-    /// The autopilot's clock at `now_ns` (CLOCK_MONOTONIC); none until enough answers came, and
-    /// where none came for a minute.
+    /// Offset of the autopilot's clock at `now_ns` (CLOCK_MONOTONIC); none before enough answers,
+    /// and after a minute without one.
     pub fn offset(&self, now_ns: i64) -> Option<TimeOffset> {
         self.best(now_ns).filter(|_| self.answers.len() >= LEAST_ANSWERS)
     }
@@ -131,7 +132,7 @@ impl Timesync {
             .iter()
             .filter(|(at_ns, _)| now_ns.saturating_sub(*at_ns) < FORGOTTEN_NS)
             .map(|(at_ns, offset)| {
-                // The bound has grown since, by the drift.
+                // The drift widens the bound with its age.
                 let since_ns = now_ns.saturating_sub(*at_ns).clamp(0, FORGOTTEN_NS);
                 let drifted_ns = since_ns * DRIFT_PPM / 1_000_000;
                 TimeOffset { bound_ns: offset.bound_ns + drifted_ns, ..*offset }

@@ -36,7 +36,7 @@ pub struct Configuration {
 /// Reads a duration such as `20s`, `5m` or `1h`.
 ///
 /// # Errors
-/// What is wrong with it, and how durations are written.
+/// The fault, and the notation of durations.
 pub fn duration(text: &str) -> Result<Duration, String> {
     humantime::parse_duration(text).map_err(|error| format!("{error}; write 20s, 5m or 1h"))
 }
@@ -50,8 +50,8 @@ impl Configuration {
         self.load_with(&[], &[])
     }
 
-    /// Loads the configuration with more `KEY.PATH=VALUE` settings: the user's override `defaults`,
-    /// and `fixed` override the user's.
+    /// Loads the configuration with more `KEY.PATH=VALUE` settings. The user's settings override
+    /// `defaults`, and `fixed` overrides the user's.
     ///
     /// # Errors
     /// Everything that is wrong with it.
@@ -66,15 +66,15 @@ impl Configuration {
         Ok(pipeline)
     }
 
-    /// Whether the command line says how the pipeline runs. `--flow lossless` alone leaves it open
-    /// whether frames stand for themselves.
+    /// Whether the command line selects how the pipeline runs. `--flow lossless` alone leaves open
+    /// whether frames are independent.
     pub fn says_profile(&self) -> bool {
         let of_settings = self.set.iter().any(|setting| says_how_it_runs(setting));
         self.profile.is_some() || of_settings || self.flow.as_deref() == Some("latest")
     }
 
-    /// This configuration in a profile that works on every frame: its own, with `defaults` below
-    /// it, or `repeat` in place of `flight`.
+    /// This configuration in a profile that processes every frame. That is its own profile with
+    /// `defaults` below it, or `repeat` in place of `flight`.
     ///
     /// # Errors
     /// Everything that is wrong with it.
@@ -86,13 +86,14 @@ impl Configuration {
         })
     }
 
-    /// This configuration in `profile`, whatever the command line has.
+    /// This configuration in `profile`, whatever the command line selects.
     pub fn in_profile(mut self, profile: Profile) -> Self {
         self.set.retain(|setting| !says_how_it_runs(setting));
         Self { profile: Some(profile.name().to_owned()), flow: None, ..self }
     }
 
-    /// Arguments with which another process loads what [`Configuration::load_with`] loads here.
+    /// Arguments with which another process loads the same configuration as
+    /// [`Configuration::load_with`] here.
     pub fn to_arguments(&self, defaults: &[String], fixed: &[String]) -> Vec<OsString> {
         let overrides = [defaults, &self.overrides(), fixed].concat();
         let set = overrides.into_iter().flat_map(|setting| ["--set".into(), setting.into()]);
@@ -102,7 +103,7 @@ impl Configuration {
 
     /// `--source`, `--bodies`, `--profile` and `--flow` as settings, then those of `--set`.
     fn overrides(&self) -> Vec<String> {
-        // JSON strings are YAML: special characters in the text keep no meaning.
+        // A JSON string is YAML, so special characters in the text have no meaning.
         let quoted = |text: &str| serde_json::Value::from(text).to_string();
         let source = self.source.as_ref().map(|source| format!("source.input={}", quoted(source)));
         let bodies = self

@@ -1,8 +1,8 @@
-//! Names of files that say when they were begun.
+//! File names that contain the time at which the file was begun.
 
 use std::time::SystemTime;
 
-/// Names for files of a time, the first to be tried first: `STEM-20260102T030405Z`, then
+/// Candidate file names for a time, in order of preference: `STEM-20260102T030405Z`, then
 /// `STEM-20260102T030405Z-1` and so on.
 pub fn names(stem: &str, time: SystemTime) -> impl Iterator<Item = String> + use<> {
     let time = humantime::format_rfc3339_seconds(time).to_string().replace(['-', ':'], "");

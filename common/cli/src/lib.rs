@@ -1,13 +1,14 @@
-//! What the command lines of `flockeye` and of the programs that do some of its commands share.
+//! Shared parts of the command lines of `flockeye` and of the programs that run some of its
+//! commands.
 //!
 //! | module | what it holds |
 //! | --- | --- |
 //! | [`arguments`] | the arguments that choose a configuration, and durations |
-//! | [`dated`] | names of files that say when they were begun |
+//! | [`dated`] | file names that contain a time |
 //! | [`lab`] | the commands that `flockeye` passes on to `flockeye-lab` |
-//! | [`program`] | where those programs are |
+//! | [`program`] | paths of those programs |
 //! | [`replay`] | the commands that `flockeye` passes on to `flockeye-replay` |
-//! | [`running`] | which of the running pipelines is meant, and its messages |
+//! | [`running`] | choice of a running pipeline, and access to its messages |
 //! | [`screen`] | the terminal: log lines above, a live table below |
 //! | [`signals`] | a flag that Ctrl-C raises |
 //! | [`text_table`] | tables of plain text |

@@ -1,22 +1,22 @@
-//! Other programs of Flockeye: where they are, and what their commands do.
+//! Other programs of Flockeye: their paths and their commands.
 
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 
-/// A command of `flockeye` that another program does.
+/// A command of `flockeye` that another program runs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct CommandInfo {
     /// Its name on the command line.
     pub name: &'static str,
-    /// What it does, in one line.
+    /// Its description in one line.
     pub about: &'static str,
 }
 
 /// Finds a program beside the running one, else on the PATH.
 ///
 /// # Errors
-/// It is in neither place: the message says how to get it.
+/// It is in neither place; the message contains the cure.
 pub fn find(name: &str) -> anyhow::Result<PathBuf> {
     let own = std::env::current_exe().context("cannot find the running program")?;
     let path = std::env::var_os("PATH").unwrap_or_default();

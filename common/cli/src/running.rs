@@ -1,4 +1,4 @@
-//! Which of the running pipelines is meant, and its messages.
+//! Choice of a running pipeline, and access to its messages.
 
 use anyhow::{Context, bail, ensure};
 use clap::Args;
@@ -18,7 +18,7 @@ pub struct PipelineChoice {
 /// The chosen pipeline.
 ///
 /// # Errors
-/// None runs, or several do and none was named.
+/// No pipeline runs, or several run and none was named.
 pub fn choose(running: &PipelineChoice) -> anyhow::Result<Instance> {
     let living: Vec<Instance> = Instance::all().into_iter().filter(Instance::is_running).collect();
     let names = living.iter().map(Instance::name).collect::<Vec<_>>().join(", ");
@@ -34,27 +34,17 @@ pub fn choose(running: &PipelineChoice) -> anyhow::Result<Instance> {
     }
 }
 
-/// A running pipeline, and the ports that receive its messages.
-pub struct Attached {
-    /// They receive its messages.
-    pub ports: Ports,
-    /// Its configuration.
-    pub resolved: Resolved,
-    /// Its name, folder and owner.
-    pub instance: Instance,
-}
-
-/// Joins the chosen pipeline.
+/// Joins the chosen pipeline. Returns its instance, its configuration, and ports for its messages.
 ///
 /// # Errors
 /// As [`choose`], or it has no room for another reader.
-pub fn attach(running: &PipelineChoice) -> anyhow::Result<Attached> {
+pub fn attach(running: &PipelineChoice) -> anyhow::Result<(Instance, Resolved, Ports)> {
     let instance = choose(running)?;
     let (ports, resolved) = onlooker::join(&instance)?;
-    Ok(Attached { ports, resolved, instance })
+    Ok((instance, resolved, ports))
 }
 
-/// What to do where this user has no pipeline.
+/// Cure where this user has no pipeline.
 fn where_it_may_be() -> &'static str {
     let own = rustix::process::getuid().as_raw();
     match service_user() {

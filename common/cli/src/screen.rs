@@ -1,4 +1,4 @@
-//! What a command shows. On a terminal log lines scroll above and a live table stays below. Under
+//! Output of a command. On a terminal log lines scroll above and a live table stays below. Under
 //! systemd lines go to the journal, with their stage as a field.
 
 use std::collections::VecDeque;
@@ -6,7 +6,7 @@ use std::io::{self, IsTerminal, Write};
 
 use libsystemd::logging::{Priority, connected_to_journal, journal_send};
 
-/// Lines that a muted screen keeps.
+/// Number of lines that a muted screen keeps.
 const KEPT_LINES: usize = 40;
 
 /// Standard output with an optional live table at its end, or the journal.
@@ -40,7 +40,7 @@ impl Screen {
         self.kept.iter().flatten().fold(String::new(), |text, line| text + line + "\n")
     }
 
-    /// Whether output goes to a terminal, so that a live table makes sense.
+    /// Whether output goes to a terminal, which can show a live table.
     pub fn is_live(&self) -> bool {
         self.is_terminal
     }
@@ -50,8 +50,8 @@ impl Screen {
         self.is_journal
     }
 
-    /// Shows a line that a process of the pipeline wrote, and `at_s`, the time of the run. `label`
-    /// is its stage, with the worker's number if there are several (`detection.1`).
+    /// Shows a line that a process of the pipeline wrote at `at_s`, the time of the run. `label` is
+    /// its stage, with the worker's number if there are several (`detection.1`).
     pub fn stage_line(&mut self, at_s: f64, label: &str, text: &str) {
         if self.is_journal && self.kept.is_none() {
             let (stage, worker) = label.split_once('.').unwrap_or((label, "0"));
@@ -64,7 +64,7 @@ impl Screen {
             if journal_send(priority, message, fields.into_iter()).is_ok() {
                 return;
             }
-            // The journal's other way in, which knows no fields, is standard output.
+            // Standard output is the journal's other input, which has no fields.
         }
         self.line(&format!("{at_s:>8.3} {label:<14} {text}"));
     }
@@ -107,8 +107,8 @@ impl Screen {
     }
 }
 
-/// The journal's priority of a line as [`flockeye_runtime::logs`] writes them, and the rest of the
-/// line.
+/// The journal's priority of a line in the format of [`flockeye_runtime::logs`], and the rest of
+/// the line.
 fn priority_of(text: &str) -> (Priority, &str) {
     let line = text.trim_start();
     let levels = [
@@ -122,7 +122,7 @@ fn priority_of(text: &str) -> (Priority, &str) {
         let message = line.strip_prefix(level)?;
         Some((priority, message.trim_start()))
     });
-    // Another program's line: what it means is its own.
+    // The level of another program's line is unknown.
     found.unwrap_or((Priority::Notice, text))
 }
 

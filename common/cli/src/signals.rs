@@ -1,4 +1,4 @@
-//! Ctrl-C and its like.
+//! Ctrl-C and similar signals.
 
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;

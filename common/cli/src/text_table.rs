@@ -5,7 +5,7 @@ use std::fmt::Display;
 use comfy_table::{CellAlignment, ColumnConstraint, Table, Width, presets};
 
 /// Columns of text under their titles, without lines between them. The first columns hold words,
-/// which start at the left; the others hold numbers, which end at the right.
+/// which are left-aligned; the others hold numbers, which are right-aligned.
 #[derive(Debug, Clone)]
 pub struct TextTable {
     table: Table,
@@ -28,7 +28,7 @@ impl TextTable {
         Self { table, columns: titles.len() }
     }
 
-    /// Makes each column at least so wide, so that a live table does not move when its numbers
+    /// Sets a minimum width of each column, so that a live table does not move when its numbers
     /// grow.
     #[must_use]
     pub fn at_least(mut self, widths: &[u16]) -> Self {
@@ -39,7 +39,7 @@ impl TextTable {
         self
     }
 
-    /// Lets a column hold words after all.
+    /// Aligns a column as words.
     #[must_use]
     pub fn with_words_in(mut self, column: usize) -> Self {
         if let Some(column) = self.table.column_mut(column) {
@@ -48,7 +48,7 @@ impl TextTable {
         self
     }
 
-    /// Adds a row. Cells that it lacks stay empty.
+    /// Adds a row. Missing cells stay empty.
     pub fn row<T: Display>(&mut self, cells: impl IntoIterator<Item = T>) {
         let cells = cells.into_iter().map(|cell| cell.to_string());
         let empty = std::iter::repeat_with(String::new);

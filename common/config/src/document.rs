@@ -1,18 +1,18 @@
-//! A configuration document as a tree that remembers where each value was written.
+//! Configuration document as a tree that holds the place of each value.
 
 use saphyr::{LoadableYamlNode, MarkedYaml, Scalar, YamlData};
 use serde_json::Value;
 
 use crate::problem::{Origin, Problem};
 
-/// A value and where it was written.
+/// A value and the place where it was written.
 #[derive(Debug, Clone)]
 pub(crate) struct Node {
     pub origin: Origin,
     pub data: Data,
 }
 
-/// What a configuration document is made of.
+/// Content of a node.
 #[derive(Debug, Clone)]
 pub(crate) enum Data {
     /// Null, a truth value, a number or a text.
@@ -23,7 +23,7 @@ pub(crate) enum Data {
     Section(Vec<(Key, Node)>),
 }
 
-/// A key and where it was written.
+/// A key and the place where it was written.
 #[derive(Debug, Clone)]
 pub(crate) struct Key {
     pub origin: Origin,
@@ -34,8 +34,8 @@ impl Node {
     /// Reads a YAML document.
     ///
     /// # Errors
-    /// The first place at which it is no YAML, or a construct that configuration has no use for
-    /// (keys that are no text, tags, several documents).
+    /// The first place that is no YAML, or a construct that a configuration cannot have (keys that
+    /// are no text, tags, several documents).
     pub(crate) fn parse(yaml: &str) -> Result<Self, Problem> {
         let documents = MarkedYaml::load_from_str(yaml).map_err(|error| {
             let origin =
@@ -56,7 +56,7 @@ impl Node {
         }
     }
 
-    /// A document of JSON, as programs write it. All of it has the same place.
+    /// A document from JSON that a program wrote. All values have the same place.
     pub(crate) fn from_json(value: Value) -> Self {
         let origin = Origin::File { line: 1, column: 1 };
         let data = match value {
@@ -71,10 +71,11 @@ impl Node {
         Self { origin, data }
     }
 
-    /// Replaces, or adds, what stands at a dotted path (`search.mode`, `stages.detection.replicas`).
+    /// Replaces, or adds, the value at a dotted path (`search.mode`, `stages.detection.replicas`).
     ///
     /// # Errors
-    /// A text that is not `key.path=value`, or a path that leads through something that is no section.
+    /// A text that is not `key.path=value`, or a path that leads through something that is no
+    /// section.
     pub(crate) fn set(&mut self, assignment: &str) -> Result<(), Problem> {
         let origin = Origin::Override(assignment.to_owned());
         let Some((path, value)) = assignment.split_once('=') else {
@@ -123,7 +124,8 @@ impl Node {
         Ok(node)
     }
 
-    /// The document without the origins, as serde wants it. A key without a value is a key left out.
+    /// The document without places, in the form that serde reads. A key without a value counts as
+    /// absent.
     pub(crate) fn to_json(&self) -> Value {
         match &self.data {
             Data::Scalar(value) => value.clone(),
@@ -136,7 +138,7 @@ impl Node {
         }
     }
 
-    /// Where the value at a dotted path was written, or the section nearest to it that was.
+    /// Place of the value at a dotted path, or of the nearest section that was written.
     pub(crate) fn origin_of(&self, path: &str) -> Origin {
         let mut node = self;
         for name in path.split('.') {
@@ -165,7 +167,7 @@ impl Node {
         (!matches!(node.data, Data::Scalar(Value::Null))).then_some(node)
     }
 
-    /// Removes the key at a dotted path, and gives its value; none where it was not written.
+    /// Removes the key at a dotted path, and returns its value; none where it was not written.
     pub(crate) fn take(&mut self, path: &str) -> Option<Self> {
         let (name, rest) = match path.split_once('.') {
             Some((name, rest)) => (name, Some(rest)),
@@ -179,9 +181,9 @@ impl Node {
         }
     }
 
-    /// Puts a value at a dotted path at which nothing stands; sections that are missing are added.
+    /// Puts a value at a dotted path that has none; missing sections are added.
     pub(crate) fn put(&mut self, path: &str, value: Self) {
-        // The key may be there without a value.
+        // The key may exist without a value.
         self.take(path);
         if let Ok(node) = self.entry(path, &value.origin.clone()) {
             *node = value;

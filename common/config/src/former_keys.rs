@@ -1,4 +1,4 @@
-//! Keys of earlier releases: translated for one release, or refused with what became of them.
+//! Keys of earlier releases: translated for one release, or refused with the present way.
 
 use std::collections::BTreeSet;
 use std::sync::{Mutex, PoisonError};
@@ -10,38 +10,38 @@ use crate::problem::{Origin, Problem};
 use crate::schema;
 use crate::types::Profile;
 
-/// The key that says how a pipeline runs.
+/// The key that selects how a pipeline runs.
 const PROFILE: &str = "profile";
 
-/// The keys that said it before, each with its values, the default first.
+/// Its former keys, each with its values, the default first.
 const FORMER_PROFILE: [(&str, [&str; 2]); 3] = [
     ("flow", ["latest", "lossless"]),
     ("search.budget", ["flight", "unlimited"]),
     ("fusion.filter", ["constant_velocity", "none"]),
 ];
 
-/// Keys that have another name now.
+/// Renamed keys: former name, present name.
 const MOVED: [(&str, &str); 3] = [
     ("search.costs.processors", "search.processors"),
     ("gateway.ros2", "ros2"),
     ("gateway.autopilot", "autopilot"),
 ];
 
-/// Sections of which every key has gone.
+/// Sections whose keys were all removed.
 const GONE: [&str; 1] = ["search.costs"];
 
-/// Values that are written in another way now: key, former value, value.
+/// Renamed values: key, former value, present value.
 const REWRITTEN: [(&str, &str, &str); 2] =
     [("partition.count", "auto", "12"), ("search.mode", "gaze", "roi")];
 
-/// Why costs are constants.
+/// Reason why costs are constants.
 const STATED: &str =
     "costs are the same for all machines, so that profile: repeat gives the same poses everywhere";
-/// Why what the filter goes by is constant.
+/// Reason why the filter's parameters are constants.
 const FILTER: &str =
     "it belongs to the filter's design, and is tested and measured with this value alone";
 
-/// Keys that are constants now: the value as JSON, and why nobody had a reason to change it.
+/// Keys that became constants: the value as JSON, and the reason.
 const FIXED: [(&str, &str, &str); 23] = [
     ("search.costs.source_ms", "20.0", STATED),
     ("search.costs.egomotion_ms", "2.2", STATED),
@@ -76,14 +76,15 @@ const FIXED: [(&str, &str, &str); 23] = [
     ("recording.split_mb", "1000", "flockeye record --split takes another size"),
 ];
 
-/// Whether a setting `key.path=value` says how the pipeline runs, by today's key or a former one.
+/// Whether a setting `key.path=value` selects how the pipeline runs, by the present key or a former
+/// one.
 pub fn says_how_it_runs(setting: &str) -> bool {
     let key = setting.split('=').next().unwrap_or_default().trim();
     key == PROFILE || FORMER_PROFILE.iter().any(|(former, _)| *former == key)
 }
 
-/// Translates the former keys of `document`. What contradicts itself is added to `problems`, and what
-/// became of each key to `notices`.
+/// Translates the former keys of `document`. Contradictions are added to `problems`, and
+/// translations to `notices`.
 pub(crate) fn translate(
     document: &mut Node,
     problems: &mut Vec<Problem>,
@@ -95,7 +96,7 @@ pub(crate) fn translate(
     fixed(document, problems, notices);
 }
 
-/// Gives keys their names of today.
+/// Renames former keys.
 fn moved(document: &mut Node, problems: &mut Vec<Problem>, notices: &mut Vec<String>) {
     for (former, today) in MOVED {
         let Some(node) = document.take(former) else { continue };
@@ -116,7 +117,7 @@ fn moved(document: &mut Node, problems: &mut Vec<Problem>, notices: &mut Vec<Str
     }
 }
 
-/// Gives values their spelling of today.
+/// Renames former values.
 fn rewritten(document: &mut Node, notices: &mut Vec<String>) {
     for (path, former, today) in REWRITTEN {
         let is_former = |node: &&Node| matches!(&node.data, Data::Scalar(Value::String(text)) if text == former);
@@ -133,7 +134,7 @@ fn rewritten(document: &mut Node, notices: &mut Vec<String>) {
     }
 }
 
-/// Takes away keys that are constants now, and refuses other values than theirs.
+/// Removes keys that are constants now, and refuses other values than the constants.
 fn fixed(document: &mut Node, problems: &mut Vec<Problem>, notices: &mut Vec<String>) {
     for (path, value, why) in FIXED {
         let Some(node) = document.take(path) else { continue };
@@ -252,7 +253,8 @@ fn profile(document: &mut Node, problems: &mut Vec<Problem>, notices: &mut Vec<S
     }
 }
 
-/// The profile that means what the former keys meant, or the key that no profile agrees with, and why.
+/// The profile that means what the former keys meant, or the key that no profile agrees with, and
+/// why.
 fn successor(
     is_lossless: bool,
     is_unlimited: bool,

@@ -7,13 +7,13 @@
 //! | module | what it is for |
 //! | --- | --- |
 //! | `types` | the configuration as types; their comments are the schema's descriptions |
-//! | `document` | YAML as a tree that remembers where each value was written |
-//! | `former_keys` | keys of earlier releases, and what became of them |
+//! | `document` | YAML as a tree that holds the place of each value |
+//! | `former_keys` | keys of earlier releases: translated or refused |
 //! | `schema` | the document checked against the JSON Schema |
 //! | `meaning` | semantic validation: constraints that no schema can express |
 //! | `read` | text and overrides to a checked [`Pipeline`] |
-//! | `problem` | what is wrong, and where |
-//! | `resolve` | what a process computes from a configuration: bodies, camera, views |
+//! | `problem` | problems, with their places |
+//! | `resolve` | values computed from a configuration: bodies, camera, views |
 
 mod document;
 mod former_keys;

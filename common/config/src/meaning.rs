@@ -1,4 +1,4 @@
-//! Semantic validation: values that contradict each other, names, rotations.
+//! Semantic validation: contradictory values, names, rotations.
 
 use std::net::IpAddr;
 
@@ -96,7 +96,7 @@ impl Meaning<'_> {
             );
         }
         let drawn = resolve::simulated_camera(pipeline).err();
-        // What is wrong with the camera is wrong with the drawn one too.
+        // A fault of the camera is also a fault of the drawn one.
         let fault = resolve::camera(&pipeline.camera).err().or(drawn);
         if let Some(fault) = fault {
             self.problem(&fault.key, fault.reason);
@@ -122,7 +122,7 @@ impl Meaning<'_> {
             self.sizes(&path, &body);
             known.push(body);
         }
-        // Those of a file are not known yet: see `Resolved::of`.
+        // Bodies of a file are not known yet: see `Resolved::of`.
         let is_all = known.len() == bodies.list.len();
         if (is_all || !known.is_empty())
             && let Err(error) = Bodies::new(bodies.dictionary.clone(), known)
@@ -131,7 +131,7 @@ impl Meaning<'_> {
         }
     }
 
-    /// Keys that are for some presets only.
+    /// Keys that only some presets have.
     fn keys_of_preset(&mut self, path: &str, entry: &PresetBody) {
         let is_custom = entry.preset == Preset::Custom;
         if is_custom && entry.file.is_none() {
@@ -192,7 +192,7 @@ impl Meaning<'_> {
         let error = match Division::of(partition, largest_m) {
             Err(error) => error,
             Ok(division) => {
-                // A camera that cannot be is reported where it is written.
+                // A fault of the camera is reported at the camera's keys.
                 let Ok(camera) = resolve::camera(&pipeline.camera) else { return };
                 let near = division.views(pipeline, &camera).err();
                 let far = resolve::high_resolution_tiles(pipeline, &camera).err();
@@ -353,7 +353,7 @@ impl Meaning<'_> {
                 self.name("autopilot.target", target);
             }
             let [near, far] = autopilot.obstacle_range_m;
-            // Also false where one of them is no number.
+            // Also false where one of them is not a number.
             if !(near >= 0.0 && near < far && far <= 1000.0) {
                 let what = format!("[{near}, {far}] must rise and lie within 0 to 1000");
                 self.problem("autopilot.obstacle_range_m", what);
@@ -371,7 +371,7 @@ impl Meaning<'_> {
         }
     }
 
-    /// What others can reach is protected, unless it is said that it need not be.
+    /// Requires certificates for an endpoint that others can reach, unless `unsecured` waives them.
     fn protection(&mut self, gateway: &Gateway) {
         if let (Some(_), Some(interface)) = (&gateway.security, &gateway.scout_interface) {
             let what = format!(
@@ -385,7 +385,7 @@ impl Meaning<'_> {
         }
         let cure = "Cure: gateway.security (docs/SECURITY.md), or gateway.unsecured: true where all who can link are \
                     trusted";
-        // A link carries both ways, whoever has made it. A client does not listen.
+        // A link works both ways, whichever side opened it. A client does not listen.
         let listen: &[String] =
             if gateway.mode == GatewayMode::Peer { &gateway.listen } else { &[] };
         for (key, endpoints) in [("listen", listen), ("connect", &gateway.connect)] {
@@ -439,12 +439,12 @@ impl Meaning<'_> {
     }
 }
 
-/// A size that comes back from corners, without their rounding.
+/// A size recomputed from corners, without their rounding.
 fn rounded(length_m: f64) -> f64 {
     (length_m * 1e9).round() / 1e9
 }
 
-/// Whether an endpoint is one that this machine alone can reach.
+/// Whether only this machine can reach an endpoint.
 fn is_loopback(endpoint: &str) -> bool {
     let address = endpoint.split_once('/').map_or(endpoint, |(_, address)| address);
     let address = address.split(['#', '?']).next().unwrap_or(address);

@@ -1,9 +1,9 @@
-//! What is wrong with a configuration, and where it was written.
+//! Problems of a configuration, with their places.
 
 use std::fmt;
 use std::path::PathBuf;
 
-/// Where a value comes from, for messages.
+/// Place of a value, for messages.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Origin {
     /// A place in the file: line and column from 1.
@@ -26,14 +26,14 @@ impl fmt::Display for Origin {
     }
 }
 
-/// One thing that is wrong with a configuration.
+/// One problem of a configuration.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Problem {
-    /// Where it was written.
+    /// Place of the value.
     pub origin: Origin,
     /// Dotted path of the value; empty for the document as a whole.
     pub path: String,
-    /// What is wrong, and what is allowed.
+    /// The fault, and the allowed values.
     pub what: String,
 }
 
@@ -50,14 +50,14 @@ impl fmt::Display for Problem {
     }
 }
 
-/// Why a configuration was refused.
+/// Reason of a refused configuration.
 #[expect(missing_docs, reason = "the texts name the fields")]
 #[derive(Debug, thiserror::Error)]
 pub enum ConfigError {
     /// The file cannot be read.
     #[error("cannot read {path}: {error}")]
     Read { path: PathBuf, error: std::io::Error },
-    /// The document is wrong in these places.
+    /// The document has problems in these places.
     #[error("{name} has {}:\n{}", count(.problems), list(.problems))]
     Problems { name: String, problems: Vec<Problem> },
 }

@@ -84,8 +84,8 @@ impl Pipeline {
                         return Ok(pipeline);
                     }
                 }
-                // The schema is made from the same types, so the check above missed something. The
-                // message is serde's.
+                // The schema is derived from the same types, so the check above missed something.
+                // The message is serde's.
                 Err(error) => {
                     problems.push(Problem::new(document.origin.clone(), "", error.to_string()))
                 }
@@ -96,11 +96,12 @@ impl Pipeline {
 }
 
 impl Pipeline {
-    /// Reads the `pipeline.json` of a running instance or of a recording, which may be of an earlier
-    /// release. It was checked when it was written, and files that it names may be gone by now.
+    /// Reads the `pipeline.json` of a running instance or of a recording, possibly of an earlier
+    /// release. It was checked when it was written, and files that it names may be missing by now.
     ///
     /// # Errors
-    /// What is no configuration of this release, or names what this release cannot do.
+    /// The file is no configuration of this release, or contains values that this release does not
+    /// support.
     pub fn from_json(json: &[u8]) -> Result<Self, ConfigError> {
         let refused = |problem| ConfigError::Problems {
             name: "pipeline.json".to_owned(),
@@ -110,13 +111,13 @@ impl Pipeline {
             refused(Problem::new(Origin::File { line: 1, column: 1 }, "", error.to_string()))
         };
         let mut document = Node::from_json(serde_json::from_slice(json).map_err(wrong)?);
-        // What follows from the rest is for others, and worked out anew here.
+        // The derived section serves other readers, and is computed anew here.
         document.take(RESOLVED);
         if document.get("profile").is_some() {
             document.take(FLOW);
         }
         let mut problems = Vec::new();
-        // Nobody can change what is written, so the notices are for nobody.
+        // No reader can change a written file, so the notices are dropped.
         former_keys::translate(&mut document, &mut problems, &mut Vec::new());
         match problems.into_iter().next() {
             Some(problem) => Err(refused(problem)),
@@ -125,17 +126,17 @@ impl Pipeline {
     }
 }
 
-/// The section of `pipeline.json` with what follows from the configuration, for stages in other
-/// languages.
+/// Section of `pipeline.json` with derived values, for stages in other languages.
 pub const RESOLVED: &str = "resolved";
 
-/// The key of `pipeline.json` with the flow of frames, for stages in other languages.
+/// Key of `pipeline.json` with the flow of frames, for stages in other languages.
 pub const FLOW: &str = "flow";
 
-/// Reads another YAML (or JSON) document than pipeline.yaml, checked in the same way.
+/// Reads another YAML (or JSON) document than pipeline.yaml, with the same checks.
 ///
 /// # Errors
-/// [`ConfigError`]: the file cannot be read, or everything that is wrong with it, each with its place.
+/// [`ConfigError`]: the file cannot be read, or everything that is wrong with it, each with its
+/// place.
 pub fn read_document<T: DeserializeOwned + JsonSchema>(path: &Path) -> Result<T, ConfigError> {
     let yaml = std::fs::read_to_string(path)
         .map_err(|error| ConfigError::Read { path: path.to_owned(), error })?;

@@ -1,19 +1,19 @@
-//! Checks a document against the JSON Schema of the configuration types, finding everything wrong
-//! with it at once: serde alone would stop at the first.
+//! Checks a document against the JSON Schema of the configuration types. It finds all faults at
+//! once; serde alone would stop at the first.
 //!
-//! The part of JSON Schema understood here is what `schemars` writes for the types in this crate.
+//! It supports the part of JSON Schema that `schemars` writes for the types in this crate.
 
 use serde_json::{Map, Value};
 
 use crate::document::{Data, Node};
 use crate::problem::Problem;
 
-/// Adds everything in `node` that `schema` does not allow to `problems`.
+/// Adds all violations of `schema` in `node` to `problems`.
 pub(super) fn check(node: &Node, schema: &Value, problems: &mut Vec<Problem>) {
     check_at(node, schema, "", problems);
 }
 
-/// Adds everything in `node`, which stands at the dotted `path`, that `schema` does not allow.
+/// Adds all violations of `schema` in `node`, which is at the dotted `path`.
 pub(super) fn check_at(node: &Node, schema: &Value, path: &str, problems: &mut Vec<Problem>) {
     Checker { definitions: schema.get("$defs").and_then(Value::as_object), problems }
         .node(node, schema, path);
@@ -49,7 +49,7 @@ impl<'a> Checker<'a> {
         }
     }
 
-    /// `Option<Section>` and the like: null, or what the other alternative says.
+    /// `Option<Section>` and similar types: null, or the other alternative.
     fn any_of(&mut self, node: &Node, alternatives: &'a [Value], path: &str) {
         let is_null = matches!(node.data, Data::Scalar(Value::Null));
         let is_null_schema =
@@ -188,7 +188,7 @@ pub(super) fn join(path: &str, name: &str) -> String {
     if path.is_empty() { name.to_owned() } else { format!("{path}.{name}") }
 }
 
-/// " - did you mean 'x'?" where one of `names` is near to `found`.
+/// " - did you mean 'x'?" where one of `names` is similar to `found`.
 pub(super) fn hint<'n>(found: &str, names: impl Iterator<Item = &'n str>) -> String {
     names
         .map(|name| (strsim::jaro_winkler(found, name), name))
@@ -198,7 +198,7 @@ pub(super) fn hint<'n>(found: &str, names: impl Iterator<Item = &'n str>) -> Str
         .unwrap_or_default()
 }
 
-/// The texts that an enumeration's schema allows: `enum`, or `oneOf` of `const`s with their docs.
+/// Texts that an enumeration's schema allows: `enum`, or `oneOf` of `const`s with their docs.
 fn enumeration(schema: &Value) -> Option<Vec<&str>> {
     if let Some(values) = schema.get("enum").and_then(Value::as_array) {
         return values.iter().map(Value::as_str).collect();
@@ -215,7 +215,7 @@ fn enumeration(schema: &Value) -> Option<Vec<&str>> {
     Some(allowed)
 }
 
-/// What numbers a schema allows.
+/// Numbers that a schema allows, in words.
 fn range(schema: &Value) -> String {
     let bound = |key| schema.get(key).and_then(Value::as_f64);
     match (bound("minimum"), bound("exclusiveMinimum"), bound("maximum")) {
@@ -228,7 +228,7 @@ fn range(schema: &Value) -> String {
     }
 }
 
-/// One of several things that a value may be.
+/// Types that a value may have, in words.
 fn alternative(schema: &Value) -> String {
     match enumeration(schema) {
         Some(allowed) => allowed.join(", "),

@@ -1,7 +1,8 @@
-//! `#[derive(Described)]`: a type of the contract as data, so that its fields are listed in one place alone.
+//! `#[derive(Described)]`: describes a type of the contract as data, so that its fields are listed
+//! only once.
 //!
-//! It names paths of `flockeye-contract` and works there only. The clients in other languages, the messages of recordings
-//! and the layout in `docs/CONTRACT.md` are made from what it describes.
+//! It names paths of `flockeye-contract` and works there only. The clients in other languages, the
+//! messages of recordings and the layout in `docs/CONTRACT.md` are made from what it describes.
 
 use proc_macro::TokenStream;
 use quote::quote;

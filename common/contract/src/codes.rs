@@ -8,7 +8,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::ContractError;
 
-/// A name of Rust's in small letters with underscores, and its length. Names have at most 32 letters.
+/// A Rust name in lower-case letters with underscores, and its length. Names have at most 32
+/// letters.
 pub(crate) const fn snake_case(name: &str) -> ([u8; 64], usize) {
     let (name, mut snake, mut length, mut place) = (name.as_bytes(), [0; 64], 0, 0);
     while place < name.len() {

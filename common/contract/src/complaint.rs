@@ -1,4 +1,4 @@
-//! `complaint`: what one stage has to say about another.
+//! `complaint`: report of one stage about a fault of another.
 
 use bytemuck::{Pod, Zeroable};
 use flockeye_contract_derive::Described;
@@ -6,21 +6,21 @@ use iceoryx2::prelude::ZeroCopySend;
 
 use crate::{ComplaintKind, ContractError, Text};
 
-/// Header of `complaint`. No payload. The launcher names the process that it is about, and replaces it if
-/// complaints go on.
+/// Header of `complaint`. No payload. The launcher shows the process that it is about, and replaces
+/// it after repeated complaints.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable, ZeroCopySend, Described)]
 #[type_name("flockeye/Complaint")]
 #[repr(C)]
 pub struct Complaint {
-    /// When it was sent, CLOCK_MONOTONIC, nanoseconds.
+    /// Sending time, CLOCK_MONOTONIC, nanoseconds.
     pub sent_ns: i64,
-    /// How often that has happened, one time after the other.
+    /// Number of consecutive occurrences.
     pub count: u64,
     /// The stage that it is about; empty where only the process is known.
     pub stage: Text<32>,
-    /// What is wrong, in words: for people.
+    /// The fault in words, for the user.
     pub detail: Text<96>,
-    /// Which of the stage's workers, from 0.
+    /// Number of the worker in its stage, from 0.
     pub replica: u32,
     /// The process that it is about; 0 where only the stage is known.
     pub pid: u32,

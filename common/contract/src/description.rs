@@ -1,5 +1,5 @@
-//! The contract's types, codes and topics as data: what the clients in other languages and the messages of
-//! recordings are made from.
+//! Types, codes and topics of the contract as data. Clients in other languages and the messages of
+//! recordings are made from it.
 
 mod c;
 mod python;
@@ -18,7 +18,7 @@ use crate::{
 pub use c::c_header;
 pub use python::python_module;
 
-/// What a field is.
+/// Kind of a field.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Kind {
     /// A number, by its name in Rust.
@@ -31,9 +31,9 @@ pub enum Kind {
     Type(&'static str),
 }
 
-/// A type that a field may have. The contract's own types derive it.
+/// Type that a field may have. The contract's own types derive it.
 pub(crate) trait Described {
-    /// What a field of this type is.
+    /// Kind of a field of this type.
     fn kind() -> Kind;
 
     /// Its own fields, in their order in memory.
@@ -73,7 +73,7 @@ pub struct Field {
     pub name: &'static str,
     /// Offset of the field in its type, bytes.
     pub offset: usize,
-    /// What it is.
+    /// Its kind.
     pub kind: Kind,
 }
 
@@ -84,7 +84,7 @@ pub struct TypeDescription {
     pub name: &'static str,
     /// Bytes.
     pub size: usize,
-    /// What its address is a multiple of, bytes.
+    /// Alignment, bytes.
     pub alignment: usize,
     /// Its fields, in their order in memory.
     pub fields: Vec<Field>,
@@ -124,8 +124,8 @@ pub(crate) fn codes() -> Vec<(&'static str, &'static [&'static str])> {
     }
 }
 
-/// The layout of all types as text: name, size, alignment, then the offset of each field. It is the block
-/// in `docs/CONTRACT.md`.
+/// The layout of all types as text: name, size, alignment, then the offset of each field. It is the
+/// block in `docs/CONTRACT.md`.
 pub fn layout() -> String {
     let mut text = String::new();
     for TypeDescription { name, size, alignment, fields } in types() {

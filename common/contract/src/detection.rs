@@ -1,4 +1,4 @@
-//! `detection`: what a worker found in one view. It is the view's acknowledgement too.
+//! `detection`: markers that a worker found in one view. It also acknowledges the view.
 
 use bytemuck::{Pod, Zeroable};
 use flockeye_contract_derive::Described;
@@ -14,30 +14,31 @@ use crate::{ContractError, FrameStamp, ViewHeader};
 pub struct DetectionHeader {
     /// The frame the view was cut from.
     pub stamp: FrameStamp,
-    /// The plan that asked for the view.
+    /// The plan that requested the view.
     pub plan_id: u64,
-    /// When rectification took up the frame, copied from the view. A latency field.
+    /// Start of rectification's work on the frame, copied from the view. A latency field.
     pub taken_ns: i64,
-    /// When the view was published, copied from it. A latency field.
+    /// Publication time of the view, copied from it. A latency field.
     pub issued_ns: i64,
-    /// When the worker began with it, CLOCK_MONOTONIC, nanoseconds. A latency field.
+    /// Start of the worker's search, CLOCK_MONOTONIC, nanoseconds. A latency field.
     pub received_ns: i64,
-    /// When the record was published, CLOCK_MONOTONIC, nanoseconds. A latency field.
+    /// Publication time of the record, CLOCK_MONOTONIC, nanoseconds. A latency field.
     pub sent_ns: i64,
     /// Rises each time the worker's process is replaced.
     pub generation: u32,
-    /// Place of the view in the plan, copied from it.
+    /// Index of the view in the plan, copied from it.
     pub view_index: u32,
     /// The attempt, copied from the view.
     pub attempt: u32,
     /// The worker that searched it.
     pub worker: u32,
-    /// Decoded markers in the payload that belong to a configured body. The view is a hit if there is
-    /// one.
+    /// Number of decoded markers in the payload that belong to a configured body. The view is a hit
+    /// if there is one.
     pub hits: u32,
-    /// 1 if the view could not be searched (the log says why); the record still acknowledges it.
+    /// 1 if the view could not be searched (the log has the reason); the record still acknowledges
+    /// it.
     pub failed: u32,
-    /// Rectification's generation, copied from the view: who asked.
+    /// Generation of the rectification that requested the view, copied from it.
     pub view_generation: u32,
     /// Always 0.
     pub reserved: u32,
@@ -51,29 +52,29 @@ pub struct DetectedMarker {
     /// Unit rays of the corners in the camera frame, in ArUco's order (clockwise from the printed
     /// pattern's top left).
     pub rays_in_camera: [[f64; 3]; 4],
-    /// Standard deviation of each ray across itself, radians.
+    /// Standard deviation of each ray, perpendicular to it, radians.
     pub deviations: [f64; 4],
     /// The same corners in the view, pixels, (0, 0) the centre of the first.
     pub corners_in_view: [[f32; 2]; 4],
     /// The marker's id in its dictionary.
     pub id: u32,
-    /// 0: decoded. 1: not decoded, but a square that is probably this marker of a configured body. A pose
-    /// may be initialised from it, but it is no evidence.
+    /// 0: decoded. 1: not decoded, but a square that is probably this marker of a configured body.
+    /// A pose may be initialised from it, but it is no evidence.
     pub doubtful: u32,
 }
 
 impl DetectedMarker {
-    /// Whether it was decoded, and is not only a square that may be the marker.
+    /// Whether it was decoded. Otherwise it is only a square that may be the marker.
     pub fn is_decoded(&self) -> bool {
         self.doubtful == 0
     }
 }
 
-/// Records with more markers than this are refused.
+/// Maximum number of markers in a record; larger records are refused.
 pub const MAX_DETECTED_MARKERS: usize = 256;
 
 impl DetectionHeader {
-    /// The answer to a view so far: what is copied from it.
+    /// Answer to a view with the fields copied from it.
     pub fn answering(view: &ViewHeader) -> Self {
         Self {
             stamp: view.stamp,
@@ -95,7 +96,7 @@ impl DetectionHeader {
         for marker in markers {
             for ray in &marker.rays_in_camera {
                 let norm = ray.iter().map(|x| x * x).sum::<f64>().sqrt();
-                // NaN compares false, so it is refused here too.
+                // NaN compares false, so it is refused too.
                 let is_unit = (norm - 1.0).abs() < 1e-6;
                 if !is_unit {
                     return Err(ContractError::Ray { norm });

@@ -1,4 +1,4 @@
-//! Pins what `docs/CONTRACT.md` says to what the crate has.
+//! Tests that `docs/CONTRACT.md` matches the crate.
 #![allow(clippy::unwrap_used)]
 
 use serde::Serialize;

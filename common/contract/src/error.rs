@@ -1,6 +1,6 @@
-//! Why a message was refused, and the checks that several messages share.
+//! Errors of refused messages, and the checks that several messages share.
 
-/// Why a message was refused.
+/// Reason of a refused message.
 #[expect(missing_docs, reason = "the texts name the fields")]
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 pub enum ContractError {
@@ -10,31 +10,31 @@ pub enum ContractError {
     /// The header announces more bytes than were sent.
     #[error("the header announces {needed} bytes of payload, {found} are there")]
     PayloadTooShort { needed: usize, found: usize },
-    /// An image of no, or of absurd, size.
+    /// Zero or excessive size of an image.
     #[error("an image of {width}x{height} pixels (1 to {max} are allowed)")]
     Size { width: u32, height: u32, max: u32 },
-    /// Rows that overlap, or are absurdly far apart.
+    /// Overlapping or excessively distant rows.
     #[error("rows of {width} pixels that are {stride} bytes apart")]
     Stride { stride: u32, width: u32 },
     /// A transfer curve that cannot be inverted.
     #[error("a transfer curve with gamma {gamma} (0.1 to 10 are allowed)")]
     Gamma { gamma: f32 },
-    /// A quaternion that is no rotation.
+    /// The quaternion is no rotation.
     #[error("a rotation whose quaternion has length {norm} instead of 1")]
     Rotation { norm: f64 },
-    /// A ray that is no direction.
+    /// The ray is no direction.
     #[error("a ray of length {norm} instead of 1")]
     Ray { norm: f64 },
-    /// A focal length that gives no picture.
+    /// The focal length gives no image.
     #[error("a focal length of {focal_px} pixels")]
     Focal { focal_px: f64 },
-    /// A number that is not finite, or out of bounds.
+    /// The number is not finite, or out of bounds.
     #[error("{what} is not a finite number within its bounds")]
     NotFinite { what: &'static str },
     /// More items than allowed.
     #[error("{found} {what} (at most {max} are allowed)")]
     TooMany { what: &'static str, found: usize, max: usize },
-    /// Something that must be there is not.
+    /// A required value is missing.
     #[error("the {what} is missing")]
     Missing { what: &'static str },
 }
@@ -59,7 +59,7 @@ pub(crate) fn check_finite(what: &'static str, numbers: &[f64]) -> Result<(), Co
 /// Refuses quaternions that are no rotations.
 pub(crate) fn check_unit(quaternion: &[f64; 4]) -> Result<(), ContractError> {
     let norm = quaternion.iter().map(|q| q * q).sum::<f64>().sqrt();
-    // NaN compares false, so it is refused here too.
+    // NaN compares false, so it is refused too.
     let is_unit = (norm - 1.0).abs() < 1e-3;
     if is_unit { Ok(()) } else { Err(ContractError::Rotation { norm }) }
 }

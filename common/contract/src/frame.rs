@@ -1,4 +1,4 @@
-//! `frame`: a source's picture of the whole sphere.
+//! `frame`: image of the whole sphere from a source.
 
 use bytemuck::{Pod, Zeroable};
 use flockeye_contract_derive::Described;
@@ -6,22 +6,22 @@ use iceoryx2::prelude::ZeroCopySend;
 
 use crate::{ContractError, PixelFormat, Projection, Range, Transfer};
 
-/// Which frame a message belongs to, and when that frame was exposed.
+/// Identity of a frame, and the time of its exposure.
 ///
-/// It begins the header of every topic that follows from a frame, so that every output can be traced to
-/// its exposure.
+/// It begins every header that follows from a frame, so that each output can be traced to its
+/// exposure.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Pod, Zeroable, ZeroCopySend, Described)]
 #[type_name("flockeye/FrameStamp")]
 #[repr(C)]
 pub struct FrameStamp {
     /// Frames of the source, counted from 0 in each epoch.
     pub sequence: u64,
-    /// Middle of the exposure, CLOCK_MONOTONIC, nanoseconds. In a lossless run, which is not in real
-    /// time, it equals `stream_ns`.
+    /// Middle of the exposure, CLOCK_MONOTONIC, nanoseconds. In a lossless run, which is not in
+    /// real time, it equals `stream_ns`.
     pub exposure_ns: i64,
     /// Middle of the exposure in the recording's own time, nanoseconds from its start.
     pub stream_ns: i64,
-    /// When the source published the frame, CLOCK_MONOTONIC, nanoseconds. A latency field.
+    /// Time of publication by the source, CLOCK_MONOTONIC, nanoseconds. A latency field.
     pub published_ns: i64,
     /// Rises each time the source restarts or loops.
     pub epoch: u32,
@@ -29,7 +29,7 @@ pub struct FrameStamp {
     pub source_generation: u32,
 }
 
-/// A frame's place among all frames: generation of the source, epoch, sequence.
+/// Order of a frame among all frames: generation of the source, epoch, sequence.
 pub type FrameOrder = (u32, u32, u64);
 
 impl FrameStamp {
@@ -48,8 +48,8 @@ impl FrameStamp {
         self.exposure_ns as f64 * 1e-9
     }
 
-    /// The time from one frame to the next, on average since `earlier`, nanoseconds of the exposures.
-    /// `None` across epochs, and where the exposures do not rise.
+    /// Average time between frames since `earlier`, nanoseconds of the exposures. `None` across
+    /// epochs, and where the exposures do not rise.
     pub fn interval_ns(&self, earlier: &Self) -> Option<i64> {
         let frames = i64::try_from(self.sequence.checked_sub(earlier.sequence)?).ok()?;
         let elapsed_ns = self.exposure_ns.checked_sub(earlier.exposure_ns)?;
@@ -58,7 +58,7 @@ impl FrameStamp {
         (is_same && interval_ns > 0).then_some(interval_ns)
     }
 
-    /// How many frames of the same epoch lie between `earlier` and this one; 0 across epochs.
+    /// Number of frames of the same epoch between `earlier` and this one; 0 across epochs.
     pub fn skipped_since(&self, earlier: &Self) -> u64 {
         let is_same =
             (self.source_generation, self.epoch) == (earlier.source_generation, earlier.epoch);
@@ -66,10 +66,10 @@ impl FrameStamp {
         if is_same { self.sequence.saturating_sub(next) } else { 0 }
     }
 
-    /// Whether a message of this frame is out of date, given one of `newest`. Fusion may publish a track
-    /// of one frame after a track of the next, and a reader that keeps only the latest must not go back.
-    /// A frame that is behind by more than [`LATEST_BY_FRAMES`], or of another epoch, is not late: its
-    /// source has started again.
+    /// Whether a message of this frame is out of date, given one of `newest`. Fusion may publish a
+    /// track of one frame after a track of the next. A reader that keeps only the latest must not
+    /// go back. A frame of another epoch, or behind by more than [`LATEST_BY_FRAMES`], is not late:
+    /// its source has restarted.
     pub fn is_late_beside(&self, newest: &Self) -> bool {
         (self.source_generation, self.epoch) == (newest.source_generation, newest.epoch)
             && (1..=LATEST_BY_FRAMES).contains(&newest.sequence.wrapping_sub(self.sequence))
@@ -84,9 +84,9 @@ pub const LATEST_BY_FRAMES: u64 = 64;
 #[type_name("flockeye/FrameHeader")]
 #[repr(C)]
 pub struct FrameHeader {
-    /// Which frame this is.
+    /// Identity of this frame.
     pub stamp: FrameStamp,
-    /// Length of the exposure, nanoseconds; 0 where the source does not know.
+    /// Length of the exposure, nanoseconds; 0 where the source does not provide it.
     pub exposure_time_ns: u64,
     /// Time between the first and the last row's exposure, nanoseconds; 0 for a global shutter.
     pub readout_ns: u64,
@@ -108,11 +108,11 @@ pub struct FrameHeader {
     pub projection: u32,
 }
 
-/// Frames larger than this in either direction are refused.
+/// Maximum width and height of a frame, pixels; larger ones are refused.
 pub(crate) const MAX_SIDE_PX: u32 = 16_384;
 
 impl FrameHeader {
-    /// Bytes that the payload of such a frame has.
+    /// Bytes of such a frame's payload.
     pub fn payload_bytes(&self) -> Result<usize, ContractError> {
         let luma = self.stride as usize * self.height as usize;
         Ok(match PixelFormat::try_from(self.pixel_format)? {
@@ -123,8 +123,7 @@ impl FrameHeader {
 
     /// Refuses a header that does not describe `payload_bytes` bytes of pixels.
     ///
-    /// After it has passed, the luma plane may be read as `height` rows of `width` bytes, `stride`
-    /// apart, without leaving the payload.
+    /// Then the luma plane has `height` rows of `width` bytes, `stride` apart, within the payload.
     pub fn check(&self, payload_bytes: usize) -> Result<(), ContractError> {
         check_image(self.width, self.height, self.stride)?;
         Projection::try_from(self.projection)?;
@@ -137,7 +136,7 @@ impl FrameHeader {
     }
 }
 
-/// Refuses an image of invalid size, and rows that overlap.
+/// Refuses an image of invalid size or with overlapping rows.
 pub(crate) fn check_image(width: u32, height: u32, stride: u32) -> Result<(), ContractError> {
     if width == 0 || height == 0 || width > MAX_SIDE_PX || height > MAX_SIDE_PX {
         return Err(ContractError::Size { width, height, max: MAX_SIDE_PX });

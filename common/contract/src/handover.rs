@@ -1,19 +1,17 @@
-//! `handover`: which of two processes of one stage the others listen to while one replaces the other.
+//! `handover`: selects which of two processes of one stage counts while one replaces the other.
 
 use bytemuck::{Pod, Zeroable};
 use flockeye_contract_derive::Described;
 use iceoryx2::prelude::ZeroCopySend;
 
 use crate::{
-    Complaint, ContractError, DetectionHeader, FrameEnd, FrameHeader, FrameOrder, FrameStamp,
-    HandOverState, Health, ImuHeader, JournalHeader, OdometrySample, PacketHeader, PeerHeader,
-    PlanHeader, Rotation, StageName, SwarmHeader, Text, TrackHeader, TruthHeader, ViewHeader,
+    ContractError, DetectionHeader, FrameOrder, FrameStamp, HandOverState, StageName, Text,
 };
 
 /// Header of `handover`. No payload. The launcher sends it while it swaps a stage.
 ///
-/// Both processes run side by side and do the same work. Everybody who reads their messages ignores those
-/// of the process that does not count for a frame ([`HandOver::admits`]), so no frame is lost and none is
+/// Both processes run side by side and do the same work. Readers of their messages ignore the
+/// process that does not count for a frame ([`HandOver::admits`]). So no frame is lost, and none is
 /// answered twice.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable, ZeroCopySend, Described)]
 #[type_name("flockeye/HandOver")]
@@ -21,11 +19,11 @@ use crate::{
 pub struct HandOver {
     /// The first frame of the new process, where `state` is `taken_over`. Only its order counts.
     pub first: FrameStamp,
-    /// When it was sent, CLOCK_MONOTONIC, nanoseconds.
+    /// Sending time, CLOCK_MONOTONIC, nanoseconds.
     pub sent_ns: i64,
     /// The stage's name in pipeline.yaml.
     pub stage: Text<32>,
-    /// Which of its workers, from 0.
+    /// Number of the worker in its stage, from 0.
     pub replica: u32,
     /// Generation of the process that counts up to the frame before `first`.
     pub old_generation: u32,
@@ -37,12 +35,12 @@ pub struct HandOver {
 
 /// Sender of a message, and its frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Speaker {
+pub struct MessageSender {
     /// The stage.
     pub stage: StageName,
-    /// Which of its workers.
+    /// Number of the worker in its stage.
     pub replica: u32,
-    /// How often its process was replaced.
+    /// Number of replacements of its process.
     pub generation: u32,
     /// The frame.
     pub frame: FrameOrder,
@@ -60,83 +58,39 @@ impl HandOver {
         self.replica == replica && self.stage == Text::from(stage.name())
     }
 
-    /// Whether what `speaker` says counts for everybody else.
+    /// Whether what `sender` publishes counts for all other processes.
     ///
-    /// Processes of other generations than the two are replacements after a crash: one that is newer than
-    /// the new process counts as that, all others as the old one.
-    pub fn admits(&self, speaker: &Speaker) -> bool {
-        if !self.is_about(speaker.stage, speaker.replica) {
+    /// Processes of other generations are replacements after a crash. One that is newer than the
+    /// new process counts as the new one, all others as the old one.
+    pub fn admits(&self, sender: &MessageSender) -> bool {
+        if !self.is_about(sender.stage, sender.replica) {
             return true;
         }
         let has_newer = self.new_generation > self.old_generation;
-        let is_new = speaker.generation == self.new_generation
-            || (has_newer && speaker.generation > self.new_generation);
+        let is_new = sender.generation == self.new_generation
+            || (has_newer && sender.generation > self.new_generation);
         match HandOverState::try_from(self.state) {
             Ok(HandOverState::Shadow) => !is_new,
-            Ok(HandOverState::TakenOver) => is_new == (speaker.frame >= self.first.order()),
+            Ok(HandOverState::TakenOver) => is_new == (sender.frame >= self.first.order()),
             Ok(HandOverState::Nothing) | Err(_) => true,
         }
     }
 }
 
-/// A header whose messages may come from two processes of a stage at once.
-pub trait Spoken {
-    /// Who sent the message; for an answer, also who asked. None for topics whose stages never run twice.
-    fn speakers(&self) -> [Option<Speaker>; 2] {
-        [None, None]
-    }
+/// The single worker of a stage, as the only sender of a message.
+pub(crate) fn only(
+    stage: StageName,
+    generation: u32,
+    stamp: &FrameStamp,
+) -> [Option<MessageSender>; 2] {
+    [Some(MessageSender { stage, replica: 0, generation, frame: stamp.order() }), None]
 }
 
-fn only(stage: StageName, generation: u32, stamp: &FrameStamp) -> [Option<Speaker>; 2] {
-    [Some(Speaker { stage, replica: 0, generation, frame: stamp.order() }), None]
-}
-
-impl Spoken for FrameHeader {}
-impl Spoken for ImuHeader {}
-impl Spoken for PacketHeader {}
-impl Spoken for JournalHeader {}
-impl Spoken for Health {}
-impl Spoken for TruthHeader {}
-impl Spoken for HandOver {}
-impl Spoken for Complaint {}
-impl Spoken for OdometrySample {}
-impl Spoken for PeerHeader {}
-impl Spoken for SwarmHeader {}
-
-impl Spoken for Rotation {
-    fn speakers(&self) -> [Option<Speaker>; 2] {
-        only(StageName::Egomotion, self.generation, &self.stamp)
-    }
-}
-
-impl Spoken for PlanHeader {
-    fn speakers(&self) -> [Option<Speaker>; 2] {
-        only(StageName::Fusion, self.generation, &self.after)
-    }
-}
-
-impl Spoken for TrackHeader {
-    fn speakers(&self) -> [Option<Speaker>; 2] {
-        only(StageName::Fusion, self.generation, &self.stamp)
-    }
-}
-
-impl Spoken for ViewHeader {
-    fn speakers(&self) -> [Option<Speaker>; 2] {
-        only(StageName::Rectification, self.generation, &self.stamp)
-    }
-}
-
-impl Spoken for FrameEnd {
-    fn speakers(&self) -> [Option<Speaker>; 2] {
-        only(StageName::Rectification, self.generation, &self.stamp)
-    }
-}
-
-impl Spoken for DetectionHeader {
-    fn speakers(&self) -> [Option<Speaker>; 2] {
+impl DetectionHeader {
+    /// The worker that answered, and the one that requested.
+    pub(crate) fn senders(&self) -> [Option<MessageSender>; 2] {
         let [asking, _] = only(StageName::Rectification, self.view_generation, &self.stamp);
-        let answering = Speaker {
+        let answering = MessageSender {
             stage: StageName::Detection,
             replica: self.worker,
             generation: self.generation,
@@ -150,8 +104,13 @@ impl Spoken for DetectionHeader {
 mod tests {
     use super::*;
 
-    fn speaker(generation: u32, sequence: u64) -> Speaker {
-        Speaker { stage: StageName::Detection, replica: 1, generation, frame: (0, 0, sequence) }
+    fn sender(generation: u32, sequence: u64) -> MessageSender {
+        MessageSender {
+            stage: StageName::Detection,
+            replica: 1,
+            generation,
+            frame: (0, 0, sequence),
+        }
     }
 
     fn hand_over(state: HandOverState, first: u64) -> HandOver {
@@ -169,7 +128,7 @@ mod tests {
     #[test]
     fn each_frame_is_answered_by_one_of_the_two() {
         for frame in 0..20 {
-            let [old, new] = [speaker(4, frame), speaker(5, frame)];
+            let [old, new] = [sender(4, frame), sender(5, frame)];
             let shadow = hand_over(HandOverState::Shadow, 0);
             assert!(shadow.admits(&old) && !shadow.admits(&new));
             let taken_over = hand_over(HandOverState::TakenOver, 10);
@@ -186,17 +145,17 @@ mod tests {
             ..hand_over(HandOverState::TakenOver, 15)
         };
         for frame in 0..20 {
-            assert_eq!(back.admits(&speaker(4, frame)), frame >= 15);
-            assert_eq!(back.admits(&speaker(5, frame)), frame < 15);
+            assert_eq!(back.admits(&sender(4, frame)), frame >= 15);
+            assert_eq!(back.admits(&sender(5, frame)), frame < 15);
         }
     }
 
     #[test]
     fn others_are_not_touched() {
         let shadow = hand_over(HandOverState::Shadow, 0);
-        assert!(shadow.admits(&Speaker { replica: 0, ..speaker(5, 3) }));
-        assert!(shadow.admits(&Speaker { stage: StageName::Fusion, ..speaker(5, 3) }));
-        assert!(HandOver::default().admits(&speaker(5, 3)));
+        assert!(shadow.admits(&MessageSender { replica: 0, ..sender(5, 3) }));
+        assert!(shadow.admits(&MessageSender { stage: StageName::Fusion, ..sender(5, 3) }));
+        assert!(HandOver::default().admits(&sender(5, 3)));
     }
 
     #[test]
@@ -207,10 +166,7 @@ mod tests {
             view_generation: 7,
             ..DetectionHeader::default()
         };
-        let speakers = header.speakers().map(|speaker| speaker.map(|of| (of.stage, of.generation)));
-        assert_eq!(
-            speakers,
-            [Some((StageName::Detection, 5)), Some((StageName::Rectification, 7))]
-        );
+        let senders = header.senders().map(|sender| sender.map(|of| (of.stage, of.generation)));
+        assert_eq!(senders, [Some((StageName::Detection, 5)), Some((StageName::Rectification, 7))]);
     }
 }

@@ -6,22 +6,22 @@ use iceoryx2::prelude::ZeroCopySend;
 
 use crate::{ContractError, StageState, Text};
 
-/// Header of `health`. No payload. A hung stage sends nothing, so silence means trouble.
+/// Header of `health`. No payload. A hung stage sends nothing, so silence means a fault.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable, ZeroCopySend, Described)]
 #[type_name("flockeye/Health")]
 #[repr(C)]
 pub struct Health {
-    /// When it was sent, CLOCK_MONOTONIC, nanoseconds.
+    /// Sending time, CLOCK_MONOTONIC, nanoseconds.
     pub sent_ns: i64,
-    /// Messages taken in since the process started.
+    /// Messages taken since the process started.
     pub taken: u64,
     /// Messages published.
     pub published: u64,
-    /// Messages that a newer one overtook, or that were abandoned.
+    /// Messages that a newer one replaced, or that were abandoned.
     pub dropped: u64,
-    /// Messages that were refused or could not be worked on.
+    /// Messages that were refused or could not be processed.
     pub failed: u64,
-    /// What was taken in or given out and is not done with now: frames open, views in flight.
+    /// Messages in work: open frames, views in flight.
     pub queued: u64,
     /// Processor time used by the process, nanoseconds.
     pub processor_ns: u64,
@@ -29,17 +29,17 @@ pub struct Health {
     pub resident_bytes: u64,
     /// Median of the stage's latency since the last report, nanoseconds; -1: nothing was done.
     pub latency_median_ns: i64,
-    /// Its 99 % quantile.
+    /// 99 % quantile of that latency.
     pub latency_p99_ns: i64,
     /// The stage's name in pipeline.yaml.
     pub stage: Text<32>,
-    /// What it works with, in words (the graphics adapter, the stream): for people.
+    /// Device or component that it works with, in words (the graphics adapter, the stream).
     pub detail: Text<96>,
-    /// Which of its workers, from 0.
+    /// Number of the worker in its stage, from 0.
     pub replica: u32,
     /// Rises each time the process is replaced.
     pub generation: u32,
-    /// The process.
+    /// Number of the process.
     pub pid: u32,
     /// A [`StageState`].
     pub state: u32,

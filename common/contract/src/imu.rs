@@ -1,4 +1,4 @@
-//! `imu`: what an inertial sensor on the observer measures.
+//! `imu`: measurements of an inertial sensor on the observer.
 
 use bytemuck::{Pod, Zeroable};
 use flockeye_contract_derive::Described;
@@ -7,15 +7,16 @@ use iceoryx2::prelude::ZeroCopySend;
 use crate::ContractError;
 use crate::error::check_count;
 
-/// Most samples in one message.
+/// Maximum number of samples in one message.
 pub const MAX_IMU_SAMPLES: usize = 256;
 
-/// Header of `imu`. Payload: [`ImuSample`]s in the order of their time, at most [`MAX_IMU_SAMPLES`].
+/// Header of `imu`. Payload: [`ImuSample`]s in the order of their time, at most
+/// [`MAX_IMU_SAMPLES`].
 #[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable, ZeroCopySend, Described)]
 #[type_name("flockeye/ImuHeader")]
 #[repr(C)]
 pub struct ImuHeader {
-    /// When it was sent, CLOCK_MONOTONIC, nanoseconds. A latency field.
+    /// Sending time, CLOCK_MONOTONIC, nanoseconds. A latency field.
     pub sent_ns: i64,
     /// Rises each time the sensor's clock begins anew: a restart, or a recording that loops.
     pub epoch: u32,
@@ -28,21 +29,21 @@ pub struct ImuHeader {
 #[type_name("flockeye/ImuSample")]
 #[repr(C)]
 pub struct ImuSample {
-    /// When it was taken, on the clock of `stamp.exposure_ns`, nanoseconds. `inertial.time_offset_ms` is not
-    /// in it.
+    /// Sampling time on the clock of `stamp.exposure_ns`, nanoseconds. It does not include
+    /// `inertial.time_offset_ms`.
     pub at_ns: i64,
     /// Angular velocity, rad/s.
     pub rate: [f64; 3],
-    /// Specific force, m/s^2: a sensor at rest with its z axis up has +9.8 along z. NaN where the sender has
-    /// none.
+    /// Specific force, m/s^2: a sensor at rest with its z axis up has +9.8 along z. NaN where the
+    /// sender has none.
     pub specific_force: [f64; 3],
 }
 
-/// No drone turns faster, rad/s (2000 degrees/s, at which usual sensors saturate, is 35).
+/// Maximum angular rate of a drone, rad/s (2000 degrees/s, at which usual sensors saturate, is 35).
 pub const MAX_IMU_RATE: f64 = 100.0;
 
 impl ImuHeader {
-    /// Refuses too many samples, rates that are none, and times that do not rise.
+    /// Refuses too many samples, invalid rates, and times that do not rise.
     pub fn check(&self, samples: &[ImuSample]) -> Result<(), ContractError> {
         check_count("samples", samples.len(), MAX_IMU_SAMPLES)?;
         let is_rate = |rate: &f64| rate.abs() < MAX_IMU_RATE;

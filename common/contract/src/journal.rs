@@ -1,4 +1,4 @@
-//! `journal`: what fusion's core heard, in which order and when.
+//! `journal`: inputs of fusion's core, with their order and times.
 
 use bytemuck::{Pod, Zeroable};
 use flockeye_contract_derive::Described;
@@ -7,28 +7,29 @@ use iceoryx2::prelude::ZeroCopySend;
 use crate::error::check_count;
 use crate::{ContractError, FrameOrder, JournalKind};
 
-/// Journals with more entries than this in one message are refused.
+/// Maximum number of entries in one message; longer journals are refused.
 pub const MAX_JOURNAL_ENTRIES: usize = 64;
 
-/// Header of `journal`. Payload: its [`JournalEntry`]s, in the order in which the core of fusion worked through them.
+/// Header of `journal`. Payload: its [`JournalEntry`]s, in the order in which the core of fusion
+/// worked through them.
 ///
-/// Fusion writes it only while somebody reads it. What comes before the first message of another stage is kept for
-/// the first reader.
+/// Fusion writes it only while there is a subscriber. Entries before the first message of another
+/// stage are kept for the first reader.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Pod, Zeroable, ZeroCopySend, Described)]
 #[type_name("flockeye/JournalHeader")]
 #[repr(C)]
 pub struct JournalHeader {
-    /// How many entries this process had before these, written or not.
+    /// Number of earlier entries of this process, written or not.
     pub first: u64,
     /// Messages of this process, counted from 0.
     pub sequence: u64,
     /// Rises each time fusion's process is replaced.
     pub generation: u32,
-    /// 1 if the process went on where another one was.
+    /// 1 if the process continued the work of another one.
     pub is_resumed: u32,
 }
 
-/// One thing that happened to fusion's core. Fields that do not belong to its kind are 0.
+/// One event in fusion's core. Fields that do not belong to its kind are 0.
 #[derive(
     Debug,
     Clone,
@@ -46,9 +47,10 @@ pub struct JournalHeader {
 #[type_name("flockeye/JournalEntry")]
 #[repr(C)]
 pub struct JournalEntry {
-    /// The time that counted for it, CLOCK_MONOTONIC, nanoseconds; of `said`: when the messages were written.
+    /// Time used for the event, CLOCK_MONOTONIC, nanoseconds. For `said`: the time of writing the
+    /// messages.
     pub at_ns: i64,
-    /// Of a message that was heard: `stamp.sequence` of its frame.
+    /// For a received message: `stamp.sequence` of its frame.
     pub sequence: u64,
     /// `stamp.epoch` of its frame.
     pub epoch: u32,
@@ -58,22 +60,22 @@ pub struct JournalEntry {
     pub kind: u32,
     /// The message's own `generation`.
     pub generation: u32,
-    /// Of a detection record: its `view_generation`.
+    /// For a detection record: its `view_generation`.
     pub view_generation: u32,
-    /// Of a view or a record: its `view_index`.
+    /// For a view or a record: its `view_index`.
     pub view_index: u32,
-    /// Of a view or a record: its `attempt`.
+    /// For a view or a record: its `attempt`.
     pub attempt: u32,
-    /// Of a view or a record: its `worker`.
+    /// For a view or a record: its `worker`.
     pub worker: u32,
-    /// Of `said`: how many messages of `track`.
+    /// For `said`: number of messages of `track`.
     pub tracks: u32,
-    /// Of `said`: how many plans.
+    /// For `said`: number of plans.
     pub plans: u32,
 }
 
 impl JournalEntry {
-    /// The frame of the message that was heard.
+    /// Frame of the received message.
     pub fn order(&self) -> FrameOrder {
         (self.source_generation, self.epoch, self.sequence)
     }

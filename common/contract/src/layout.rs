@@ -1,4 +1,4 @@
-//! Pins the memory layout that `docs/CONTRACT.md` promises to stages in other languages.
+//! Tests of the memory layout that `docs/CONTRACT.md` specifies for stages in other languages.
 #![allow(clippy::unwrap_used)]
 
 use std::mem::{align_of, size_of};

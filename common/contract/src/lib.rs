@@ -2,8 +2,9 @@
 //!
 //! There are two borders:
 //! - **shared memory**, between the stages on one machine: [`Topic`]s of `#[repr(C)]` headers and
-//!   items ([`FrameHeader`], [`PacketHeader`], [`ImuHeader`], [`Rotation`], [`PlanHeader`], [`ViewHeader`], [`DetectionHeader`], [`FrameEnd`],
-//!   [`TrackHeader`], [`JournalHeader`], [`Health`], [`TruthHeader`], [`HandOver`], [`Complaint`]);
+//!   items ([`FrameHeader`], [`PacketHeader`], [`ImuHeader`], [`Rotation`], [`PlanHeader`],
+//!   [`ViewHeader`], [`DetectionHeader`], [`FrameEnd`], [`TrackHeader`], [`JournalHeader`],
+//!   [`Health`], [`TruthHeader`], [`HandOver`], [`Complaint`]);
 //! - **the network**, between drones: the JSON of [`wire`].
 //!
 //! ```
@@ -27,9 +28,9 @@
 //! ```
 //!
 //! This crate has the data and their validation ([`Topic::check`]); the runtime transports them.
-//! `docs/CONTRACT.md` describes the same bytes for stages in other languages, and the tests of `layout`
-//! and `documents` pin every offset, code and version in it. Clients in other languages are generated
-//! from [`description`].
+//! `docs/CONTRACT.md` describes the same bytes for stages in other languages. The tests of `layout`
+//! and `documents` compare every offset, code and version with it. Clients in other languages are
+//! generated from [`description`].
 
 mod codes;
 mod complaint;
@@ -67,7 +68,7 @@ pub use complaint::Complaint;
 pub use detection::{DetectedMarker, DetectionHeader, MAX_DETECTED_MARKERS};
 pub use error::ContractError;
 pub use frame::{FrameHeader, FrameOrder, FrameStamp};
-pub use handover::{HandOver, Speaker, Spoken};
+pub use handover::{HandOver, MessageSender};
 pub use health::Health;
 pub use imu::{ImuHeader, ImuSample, MAX_IMU_RATE, MAX_IMU_SAMPLES};
 pub use journal::{JournalEntry, JournalHeader, MAX_JOURNAL_ENTRIES};

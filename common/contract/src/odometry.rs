@@ -1,4 +1,4 @@
-//! `odometry`: how the observer moves by its autopilot's estimate.
+//! `odometry`: motion of the observer by its autopilot's estimate.
 
 use bytemuck::{Pod, Zeroable};
 use flockeye_contract_derive::Described;
@@ -12,10 +12,10 @@ use crate::{ContractError, Pose};
 #[type_name("flockeye/OdometrySample")]
 #[repr(C)]
 pub struct OdometrySample {
-    /// Pose of the observer in a frame that its odometry began with (REP-105's `odom`; z up).
+    /// Pose of the observer in the frame in which its odometry began (REP-105's `odom`; z up).
     pub odom_from_observer: Pose,
-    /// Its covariance, 6x6 row-major: position (m), then rotation vector (rad), both along the axes of `odom`.
-    /// NaN where it is not known.
+    /// Covariance of the pose, 6x6 row-major: position (m), then rotation vector (rad), both along
+    /// the axes of `odom`. NaN where it is not known.
     pub covariance: [f64; 36],
     /// Velocity of the observer along its own axes, m/s.
     pub linear_velocity: [f64; 3],
@@ -23,7 +23,7 @@ pub struct OdometrySample {
     pub angular_velocity: [f64; 3],
     /// The instant, CLOCK_MONOTONIC, nanoseconds.
     pub at_ns: i64,
-    /// Rises where the estimate leaps: the poses of two epochs have different origins.
+    /// Rises where the estimate jumps: the poses of two epochs have different origins.
     pub epoch: u32,
     /// Rises each time the sender's process is replaced.
     pub generation: u32,
@@ -37,7 +37,7 @@ impl Default for OdometrySample {
 }
 
 impl OdometrySample {
-    /// Refuses poses and velocities that are none.
+    /// Refuses invalid poses and velocities.
     pub fn check(&self) -> Result<(), ContractError> {
         self.odom_from_observer.check()?;
         check_finite("velocity", &self.linear_velocity)?;

@@ -1,4 +1,4 @@
-//! `packet`: a coded picture of the source, as it was before the decoder.
+//! `packet`: coded picture of the source, before decoding.
 
 use bytemuck::{Pod, Zeroable};
 use flockeye_contract_derive::Described;
@@ -7,25 +7,26 @@ use iceoryx2::prelude::ZeroCopySend;
 use crate::error::check_count;
 use crate::{ContractError, VideoCodec};
 
-/// Most bytes of a packet.
+/// Maximum number of bytes in a packet.
 pub const MAX_PACKET_BYTES: usize = 33_554_432;
 
-/// Header of `packet`. Payload: the coded picture in Annex B's byte stream (ITU-T H.264 and H.265), all that is
-/// shown at one time. A key frame has its parameter sets before it.
+/// Header of `packet`. Payload: the coded picture in Annex B's byte stream (ITU-T H.264 and H.265).
+/// It has all parts that are displayed at one time, and a key frame begins with its parameter sets.
 ///
-/// A source sends packets only while somebody reads them, in the order in which they are decoded. One whose
-/// pictures are not coded so sends one message with [`VideoCodec::None`] and no payload.
+/// A source sends packets only while there is a subscriber, in the order of decoding. A source
+/// without such a coding sends one message with [`VideoCodec::None`] and no payload.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Pod, Zeroable, ZeroCopySend, Described)]
 #[type_name("flockeye/PacketHeader")]
 #[repr(C)]
 pub struct PacketHeader {
     /// The `stamp.stream_ns` of the frame that is decoded from it.
     pub stream_ns: i64,
-    /// Middle of the exposure as far as it is known before decoding, on the clock of `stamp.exposure_ns`.
+    /// Middle of the exposure as far as it is known before decoding, on the clock of
+    /// `stamp.exposure_ns`.
     pub exposure_ns: i64,
-    /// When its data came in, CLOCK_MONOTONIC, nanoseconds.
+    /// Arrival of its data, CLOCK_MONOTONIC, nanoseconds.
     pub arrived_ns: i64,
-    /// Packets of the source, counted from 0 in each epoch, also those that were not sent.
+    /// Packets of the source, counted from 0 in each epoch, including those that were not sent.
     pub sequence: u64,
     /// The `stamp.epoch` of the frame.
     pub epoch: u32,
@@ -38,7 +39,7 @@ pub struct PacketHeader {
 }
 
 impl PacketHeader {
-    /// Refuses a header that does not belong to such a payload, and a payload that is no byte stream.
+    /// Refuses a header that does not match the payload, and a payload that is no byte stream.
     ///
     /// # Errors
     /// The first violation found.

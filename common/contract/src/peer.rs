@@ -1,4 +1,4 @@
-//! `peer` and `swarm`: what other drones report, and where all of the swarm is by all that is known.
+//! `peer` and `swarm`: reports of other drones, and fused poses of the whole swarm.
 
 use bytemuck::{Pod, Zeroable};
 use flockeye_contract_derive::Described;
@@ -12,7 +12,7 @@ use crate::{ContractError, MeasuredBy, Pose, SwarmWay, Text, TrackState};
 #[type_name("flockeye/PeerHeader")]
 #[repr(C)]
 pub struct PeerHeader {
-    /// When the report came in, CLOCK_MONOTONIC of this machine, nanoseconds.
+    /// Arrival of the report, CLOCK_MONOTONIC of this machine, nanoseconds.
     pub arrived_ns: i64,
     /// Rises each time the gateway's process is replaced.
     pub generation: u32,
@@ -20,18 +20,18 @@ pub struct PeerHeader {
     pub reserved: u32,
 }
 
-/// Where a peer sees one target, of a report that passed all checks.
+/// Pose of one target that a peer reported, after all checks.
 #[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable, ZeroCopySend, Described)]
 #[type_name("flockeye/PeerSighting")]
 #[repr(C)]
 pub struct PeerSighting {
-    /// Filtered pose of the target in the frame of the drone that reports.
+    /// Filtered pose of the target in the frame of the reporting drone.
     pub observer_from_target: Pose,
-    /// Its covariance, 6x6 row-major: position (m), then rotation vector (rad), both in the observer's
-    /// frame.
+    /// Its covariance, 6x6 row-major: position (m), then rotation vector (rad), both in the
+    /// observer's frame.
     pub covariance: [f64; 36],
-    /// The inverse: where the observer is as its target has it. Of a target that is this drone, it is where
-    /// the peer is from here.
+    /// Inverse: pose of the observer in the frame of its target. If this drone is the target, it is
+    /// the pose of the peer in this drone's frame.
     pub target_from_observer: Pose,
     /// Its covariance, in the target's frame.
     pub inverse_covariance: [f64; 36],
@@ -39,17 +39,18 @@ pub struct PeerSighting {
     pub linear_velocity: [f64; 3],
     /// Angular velocity of the target along the observer's axes, rad/s.
     pub angular_velocity: [f64; 3],
-    /// Mid-exposure on this machine's CLOCK_MONOTONIC, by the estimate of the peer's clock, nanoseconds.
+    /// Mid-exposure on this machine's CLOCK_MONOTONIC, by the estimate of the peer's clock,
+    /// nanoseconds.
     pub exposure_ns: i64,
     /// Standard deviation of that, nanoseconds.
     pub exposure_deviation_ns: i64,
-    /// The frame's number in its epoch, as the observer counts.
+    /// Number of the frame in its epoch, by the observer's count.
     pub frame: u64,
-    /// Who reports.
+    /// Name of the observer.
     pub observer: Text<32>,
-    /// On whom.
+    /// Name of the target.
     pub target: Text<32>,
-    /// The source's epoch, as the observer counts.
+    /// Epoch of the source, by the observer's count.
     pub epoch: u32,
     /// A [`TrackState`].
     pub state: u32,
@@ -59,39 +60,41 @@ pub struct PeerSighting {
     pub is_own: u32,
 }
 
-/// Header of `swarm`. Payload: a [`SwarmPose`] for each drone whose place is known.
+/// Header of `swarm`. Payload: a [`SwarmPose`] for each drone whose pose is known.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable, ZeroCopySend, Described)]
 #[type_name("flockeye/SwarmHeader")]
 #[repr(C)]
 pub struct SwarmHeader {
-    /// The time that the poses hold for, CLOCK_MONOTONIC, nanoseconds.
+    /// Time of the poses, CLOCK_MONOTONIC, nanoseconds.
     pub at_ns: i64,
-    /// When it was sent, CLOCK_MONOTONIC, nanoseconds. A latency field.
+    /// Sending time, CLOCK_MONOTONIC, nanoseconds. A latency field.
     pub sent_ns: i64,
     /// Rises each time the gateway's process is replaced.
     pub generation: u32,
-    /// Observers whose reports contradict the others', and are left out.
+    /// Number of observers that are left out because their reports contradict the others'.
     pub left_out: u32,
 }
 
-/// Where a drone is, by all that this one and its peers have seen.
+/// Pose of a drone, fused from the sightings of this drone and its peers.
 #[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable, ZeroCopySend, Described)]
 #[type_name("flockeye/SwarmPose")]
 #[repr(C)]
 pub struct SwarmPose {
     /// Pose of the drone in this drone's frame.
     pub own_from_drone: Pose,
-    /// Its covariance, 6x6 row-major: position (m), then rotation vector (rad), both in this drone's frame.
+    /// Its covariance, 6x6 row-major: position (m), then rotation vector (rad), both in this
+    /// drone's frame.
     pub covariance: [f64; 36],
-    /// The newest exposure that it rests on, CLOCK_MONOTONIC, nanoseconds.
+    /// Time of the newest exposure among its sightings, CLOCK_MONOTONIC, nanoseconds.
     pub seen_ns: i64,
-    /// Whose pose.
+    /// Name of the drone.
     pub name: Text<32>,
-    /// The drone through which it is known best, where it is `chained`; else empty.
+    /// Name of the drone through which its pose has the least covariance, where it is `chained`;
+    /// else empty.
     pub through: Text<32>,
     /// A [`SwarmWay`].
     pub way: u32,
-    /// Pairs of drones whose sightings it rests on.
+    /// Number of pairs of drones whose sightings it is computed from.
     pub pairs: u32,
 }
 

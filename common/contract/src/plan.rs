@@ -1,4 +1,4 @@
-//! `plan`: the views that fusion wants from rectification.
+//! `plan`: views that fusion requests from rectification.
 
 use bytemuck::{Pod, Zeroable};
 use flockeye_contract_derive::Described;
@@ -8,7 +8,7 @@ use crate::error::{check_count, check_unit};
 use crate::frame::MAX_SIDE_PX;
 use crate::{ContractError, FrameStamp, NONE, Pose, Search, SearchMode, StopRule, ViewKind};
 
-/// Header of a plan. Payload: its [`PlannedView`]s, in the order in which they are to be cut.
+/// Header of a plan. Payload: its [`PlannedView`]s, in the order of cutting.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable, ZeroCopySend, Described)]
 #[type_name("flockeye/PlanHeader")]
 #[repr(C)]
@@ -18,7 +18,7 @@ pub struct PlanHeader {
     pub after: FrameStamp,
     /// Rises with each plan of one fusion process, from 1.
     pub plan_id: u64,
-    /// When it was made, CLOCK_MONOTONIC, nanoseconds. A latency field.
+    /// Time of planning, CLOCK_MONOTONIC, nanoseconds. A latency field.
     pub made_ns: i64,
     /// 1 in a plan made after a frame, 0 in the first one, which only opens the flow.
     pub has_after: u32,
@@ -28,25 +28,25 @@ pub struct PlanHeader {
     pub stop_rule: u32,
     /// A [`SearchMode`].
     pub mode: u32,
-    /// Views of this plan to be cut in a lossless run with the rule `deadline`.
+    /// Number of views to cut in a lossless run with the rule `deadline`.
     pub view_budget: u32,
     /// Keeps the size a multiple of 8; zero.
     pub reserved: u32,
 }
 
-/// One view that a plan asks for.
+/// One view that a plan requests.
 ///
-/// A region of interest follows its neighbour: rectification turns it from `reference_ns` to the
-/// frame's exposure with `rate_in_camera`.
+/// A region of interest follows its neighbour. Rectification turns it by `rate_in_camera` from
+/// `reference_ns` to the frame's exposure.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable, ZeroCopySend, Described)]
 #[type_name("flockeye/PlannedView")]
 #[repr(C)]
 pub struct PlannedView {
     /// Rotation from the view's frame (x right, y down, z forward) to the camera's, x y z w.
     pub camera_from_view: [f64; 4],
-    /// How that rotation moves: rotation vector a second, in the camera frame, radians/s.
+    /// Rate of that rotation: rotation vector per second, in the camera frame, radians/s.
     pub rate_in_camera: [f64; 3],
-    /// The exposure time for which `camera_from_view` holds, same clock as the stamp's.
+    /// Exposure time at which `camera_from_view` holds, on the clock of the stamp.
     pub reference_ns: i64,
     /// Focal length, pixels.
     pub focal_px: f64,
@@ -67,10 +67,10 @@ pub struct PlannedView {
     pub search: u32,
 }
 
-/// Plans with more views than this are refused.
+/// Maximum number of views in a plan; larger plans are refused.
 pub const MAX_PLANNED_VIEWS: usize = 256;
 
-/// Views larger than this are refused.
+/// Maximum side of a view, pixels; larger views are refused.
 pub const MAX_VIEW_PX: u32 = 4_096;
 
 impl PlanHeader {
@@ -84,12 +84,12 @@ impl PlanHeader {
 }
 
 impl PlannedView {
-    /// Whether the view is a proposal, whose place rectification finds.
+    /// Whether the view is a proposal, whose direction rectification finds.
     pub fn is_proposal(&self) -> bool {
         self.kind == ViewKind::Proposal.code()
     }
 
-    /// Whether the view is a tile of the sphere of either resolution, not a small view.
+    /// Whether the view is a tile of the sphere at either resolution, and not a small view.
     pub fn is_tile(&self) -> bool {
         [ViewKind::Partition.code(), ViewKind::HighResolution.code()].contains(&self.kind)
     }

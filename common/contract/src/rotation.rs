@@ -1,4 +1,4 @@
-//! `rotation`: how the observer's camera turns.
+//! `rotation`: rotation of the observer's camera.
 
 use bytemuck::{Pod, Zeroable};
 use flockeye_contract_derive::Described;
@@ -7,9 +7,9 @@ use iceoryx2::prelude::ZeroCopySend;
 use crate::error::{check_finite, check_unit};
 use crate::{ContractError, FrameStamp, RotationSource};
 
-/// Header of `rotation`: how the camera has turned from an earlier frame to this one. No payload.
+/// Header of `rotation`: rotation of the camera from an earlier frame to this one. No payload.
 ///
-/// There is one for each frame that egomotion takes up, also where it does not know the rotation.
+/// There is one for each frame that egomotion processes, even if the rotation is unknown.
 #[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable, ZeroCopySend, Described)]
 #[type_name("flockeye/Rotation")]
 #[repr(C)]
@@ -18,18 +18,19 @@ pub struct Rotation {
     pub stamp: FrameStamp,
     /// Middle of the earlier frame's exposure, on the clock of `stamp.exposure_ns`.
     pub earlier_exposure_ns: i64,
-    /// Turns directions in the camera frame of then into that of now: unit quaternion x y z w.
+    /// Rotates directions from the earlier camera frame into the present one: unit quaternion x y z
+    /// w.
     pub later_from_earlier: [f64; 4],
-    /// Its covariance, 3x3 row-major: rotation vector (rad) in the camera frame of now.
+    /// Its covariance, 3x3 row-major: rotation vector (rad) in the present camera frame.
     pub covariance: [f64; 9],
     /// The camera's own angular velocity in the middle of the exposure, in its own axes, rad/s.
     pub rate_in_camera: [f64; 3],
     /// Its covariance, 3x3 row-major, (rad/s)^2.
     pub rate_covariance: [f64; 9],
-    /// Until when the inertial sensor knows the rotation beyond the exposure, on the same clock; where it does
-    /// not, this is `stamp.exposure_ns`, and the next four fields mean nothing.
+    /// End of the rotation beyond the exposure, as the inertial sensor measured it, on the same
+    /// clock. Without it this is `stamp.exposure_ns`, and the next four fields have no meaning.
     pub ahead_ns: i64,
-    /// Turns directions in the camera frame of the exposure into that of `ahead_ns`: x y z w.
+    /// Rotates directions from the camera frame of the exposure into that of `ahead_ns`: x y z w.
     pub ahead_from_later: [f64; 4],
     /// Its covariance, 3x3 row-major: rotation vector (rad) in the camera frame of `ahead_ns`.
     pub ahead_covariance: [f64; 9],
@@ -37,7 +38,8 @@ pub struct Rotation {
     pub ahead_rate_in_camera: [f64; 3],
     /// Its covariance, 3x3 row-major, (rad/s)^2.
     pub ahead_rate_covariance: [f64; 9],
-    /// A [`RotationSource`]: what it was measured by. With `nothing`, only the stamp means anything.
+    /// A [`RotationSource`]: the source of the measurement. With `nothing`, only the stamp has a
+    /// meaning.
     pub source: u32,
     /// Rises each time egomotion's process is replaced.
     pub generation: u32,
@@ -50,11 +52,11 @@ impl Default for Rotation {
     }
 }
 
-/// The inertial sensor knows no farther ahead, nanoseconds.
+/// Maximum time of the rotation beyond the exposure, nanoseconds.
 const MAX_AHEAD_NS: i64 = 1_000_000_000;
 
 impl Rotation {
-    /// Refuses an unknown source, and numbers that are no rotation or no covariance.
+    /// Refuses an unknown source, invalid rotations and invalid covariances.
     pub fn check(&self) -> Result<(), ContractError> {
         if RotationSource::try_from(self.source)? == RotationSource::Nothing {
             return Ok(());
@@ -84,7 +86,7 @@ impl Rotation {
     }
 }
 
-/// Refuses what is not symmetric or has a variance below zero.
+/// Refuses a matrix that is not symmetric or has a variance below zero.
 fn check_covariance(what: &'static str, numbers: &[f64; 9]) -> Result<(), ContractError> {
     check_finite(what, numbers)?;
     let at = |row: usize, column: usize| numbers[3 * row + column];

@@ -1,6 +1,6 @@
 //! The stages of the dataflow.
 
-/// A stage: one box of the dataflow.
+/// A stage: one node of the dataflow.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum StageName {
     /// Camera, video file, stream or image folder to frames.

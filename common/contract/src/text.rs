@@ -7,8 +7,8 @@ use iceoryx2::prelude::ZeroCopySend;
 
 /// UTF-8 text of at most `N` bytes, filled up with zero bytes.
 ///
-/// A name that does not fit is cut between two characters. Bytes that are no UTF-8 (a foreign
-/// stage may write anything) are shown as U+FFFD and never trusted.
+/// A name that does not fit is cut between two characters. Bytes that are no UTF-8 (a foreign stage
+/// may write anything) are shown as U+FFFD and never trusted.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, ZeroCopySend)]
 #[repr(C)]
 pub struct Text<const N: usize> {
@@ -21,7 +21,7 @@ unsafe impl<const N: usize> Zeroable for Text<N> {}
 unsafe impl<const N: usize> Pod for Text<N> {}
 
 impl<const N: usize> Text<N> {
-    /// The text as it was written, without the zero bytes behind it.
+    /// The text without the zero bytes behind it.
     pub fn to_string_lossy(&self) -> std::borrow::Cow<'_, str> {
         let length = self.bytes.iter().position(|&byte| byte == 0).unwrap_or(N);
         String::from_utf8_lossy(&self.bytes[..length])

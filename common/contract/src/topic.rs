@@ -1,15 +1,16 @@
-//! The topics of the dataflow, and the check each message has to pass.
+//! Topics of the dataflow, and the check of each message.
 
 use std::fmt::Debug;
 
 use bytemuck::Pod;
 use iceoryx2::prelude::ZeroCopySend;
 
+use crate::handover::only;
 use crate::{
     BodyTruth, Complaint, ContractError, DetectedMarker, DetectionHeader, FrameEnd, FrameHeader,
-    HandOver, Health, ImuHeader, ImuSample, JournalEntry, JournalHeader, OdometrySample,
-    PacketHeader, PeerHeader, PeerSighting, PlanHeader, PlannedView, Rotation, Spoken, StageName,
-    SwarmHeader, SwarmPose, Track, TrackHeader, TruthHeader, ViewHeader,
+    HandOver, Health, ImuHeader, ImuSample, JournalEntry, JournalHeader, MessageSender,
+    OdometrySample, PacketHeader, PeerHeader, PeerSighting, PlanHeader, PlannedView, Rotation,
+    StageName, SwarmHeader, SwarmPose, Track, TrackHeader, TruthHeader, ViewHeader,
 };
 
 /// Version of everything in this crate. A stage of another version is refused.
@@ -21,7 +22,7 @@ pub const VERSION_ATTRIBUTE: &str = "flockeye.contract";
 /// One publish-subscribe service: messages of one header and a slice of items.
 pub trait Topic {
     /// The iceoryx2 user header.
-    type Header: ZeroCopySend + Pod + Default + Debug + Spoken;
+    type Header: ZeroCopySend + Pod + Default + Debug;
     /// The iceoryx2 payload is `[Item]`.
     type Item: ZeroCopySend + Pod + Debug;
     /// Name of the service and of the event service that wakes its subscribers.
@@ -34,9 +35,15 @@ pub trait Topic {
     /// # Errors
     /// The first violation found.
     fn check(header: &Self::Header, items: &[Self::Item]) -> Result<(), ContractError>;
+
+    /// Senders that a hand-over may exclude: the sender of the message and, for an answer, of the
+    /// request. None for topics of stages that never run twice at once.
+    fn senders(_header: &Self::Header) -> [Option<MessageSender>; 2] {
+        [None, None]
+    }
 }
 
-/// A topic as a row of the table of all topics: who publishes what, and who reads it.
+/// A row of the table of all topics: a topic with its publishers and subscribers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct TopicInfo {
     /// Which topic.
@@ -58,27 +65,27 @@ pub struct TopicInfo {
 }
 
 impl TopicInfo {
-    /// Whether there is a service for each detection worker, `NAME/0`, `NAME/1` ..., so that a slow
-    /// worker costs no other its messages.
+    /// Whether each detection worker has its own service, `NAME/0`, `NAME/1` .... So a slow worker
+    /// costs no other its messages.
     pub fn has_lanes(&self) -> bool {
         self.id == TopicId::Views
     }
 }
 
-/// Something to do for each topic, with its types.
+/// Operation on each topic, with its types.
 pub trait TopicVisitor {
-    /// Why it can fail.
+    /// Error of the operation.
     type Error;
 
-    /// Does it for topic `T`.
+    /// Performs the operation for topic `T`.
     ///
     /// # Errors
-    /// The visitor's own; no further topic is visited.
+    /// Error of the operation; no further topic is visited.
     fn visit<T: Topic + 'static>(&mut self) -> Result<(), Self::Error>;
 }
 
 macro_rules! topics {
-    ($($(#[$doc:meta])* $name:ident = $service:literal, $header:ty, [$item:ty], [$($publisher:ident),*] => [$($subscriber:ident),*], |$h:ident, $i:ident| $check:expr;)+) => {
+    ($($(#[$doc:meta])* $name:ident = $service:literal, $header:ty, [$item:ty], [$($publisher:ident),*] => [$($subscriber:ident),*], |$h:ident, $i:ident| $check:expr $(, senders: |$s:ident| $senders:expr)?;)+) => {
         $(
             $(#[$doc])*
             #[derive(Debug, Clone, Copy)]
@@ -102,6 +109,11 @@ macro_rules! topics {
                 fn check($h: &$header, $i: &[$item]) -> Result<(), ContractError> {
                     $check
                 }
+                $(
+                    fn senders($s: &$header) -> [Option<MessageSender>; 2] {
+                        $senders
+                    }
+                )?
             }
         )+
 
@@ -115,7 +127,7 @@ macro_rules! topics {
         /// Visits all topics, in the order of the dataflow.
         ///
         /// # Errors
-        /// The visitor's first.
+        /// The first error of the visitor.
         pub fn visit_topics<V: TopicVisitor>(visitor: &mut V) -> Result<(), V::Error> {
             $(visitor.visit::<$name>()?;)+
             Ok(())
@@ -127,40 +139,46 @@ topics! {
     /// Source to rectification: the luma plane of the whole sphere.
     Frames = "flockeye/frame", FrameHeader, [u8],
         [Capture, Simulator] => [Rectification, Egomotion], |header, items| header.check(items.len());
-    /// Source to whoever wants: its coded pictures, before they are decoded.
+    /// Source to any subscriber: its coded pictures, before decoding.
     Packets = "flockeye/packet", PacketHeader, [u8],
         [Capture] => [], |header, items| header.check(items);
-    /// Inertial sensor to egomotion: how the drone turns and accelerates.
+    /// Inertial sensor to egomotion: rotation rate and acceleration of the drone.
     Imus = "flockeye/imu", ImuHeader, [ImuSample],
         [Capture, Simulator, Inertial] => [Egomotion], |header, items| header.check(items);
-    /// Egomotion to fusion and the gateway: how the camera has turned since the frame before.
+    /// Egomotion to fusion and the gateway: rotation of the camera since the previous frame.
     Rotations = "flockeye/rotation", Rotation, [u8],
-        [Egomotion] => [Fusion, Gateway], |header, _items| header.check();
-    /// Fusion to rectification (and, in a lossless run, to the source): where to look.
+        [Egomotion] => [Fusion, Gateway], |header, _items| header.check(),
+        senders: |header| only(StageName::Egomotion, header.generation, &header.stamp);
+    /// Fusion to rectification (and, in a lossless run, to the source): the views to cut.
     Plans = "flockeye/plan", PlanHeader, [PlannedView],
-        [Fusion] => [Rectification, Capture, Simulator], |header, items| header.check(items);
+        [Fusion] => [Rectification, Capture, Simulator], |header, items| header.check(items),
+        senders: |header| only(StageName::Fusion, header.generation, &header.after);
     /// Rectification to detection and fusion: a square pinhole image.
     Views = "flockeye/view", ViewHeader, [u8],
-        [Rectification] => [Detection, Fusion], |header, items| header.check(items.len());
-    /// Detection to rectification and fusion: what a view holds.
+        [Rectification] => [Detection, Fusion], |header, items| header.check(items.len()),
+        senders: |header| only(StageName::Rectification, header.generation, &header.stamp);
+    /// Detection to rectification and fusion: the markers in a view.
     Detections = "flockeye/detection", DetectionHeader, [DetectedMarker],
-        [Detection] => [Rectification, Fusion], |header, items| header.check(items);
+        [Detection] => [Rectification, Fusion], |header, items| header.check(items),
+        senders: |header| header.senders();
     /// Rectification to fusion: no more views of a frame will come.
     FrameEnds = "flockeye/frame_end", FrameEnd, [u8],
-        [Rectification] => [Fusion], |header, _items| header.check();
+        [Rectification] => [Fusion], |header, _items| header.check(),
+        senders: |header| only(StageName::Rectification, header.generation, &header.stamp);
     /// Fusion to the gateway, ROS 2, the autopilot and tools: the neighbours' poses.
     Tracks = "flockeye/track", TrackHeader, [Track],
-        [Fusion] => [Autopilot, Gateway, Ros2], |_header, items| items.iter().try_for_each(Track::check);
-    /// Fusion to whoever wants: what its core heard, in which order and when.
+        [Fusion] => [Autopilot, Gateway, Ros2], |_header, items| items.iter().try_for_each(Track::check),
+        senders: |header| only(StageName::Fusion, header.generation, &header.stamp);
+    /// Fusion to any subscriber: the inputs of its core, with their order and times.
     Journals = "flockeye/journal", JournalHeader, [JournalEntry],
         [Fusion] => [], |header, items| header.check(items);
-    /// Autopilot to the gateway: how the observer moves by its own dead reckoning.
+    /// Autopilot to the gateway: motion of the observer by its own dead reckoning.
     Odometries = "flockeye/odometry", OdometrySample, [u8],
         [Autopilot] => [Gateway], |header, _items| header.check();
-    /// Gateway to ROS 2 and whoever wants: what peers report.
+    /// Gateway to ROS 2 and any subscriber: reports of peers.
     Peers = "flockeye/peer", PeerHeader, [PeerSighting],
         [Gateway] => [Ros2], |_header, items| items.iter().try_for_each(PeerSighting::check);
-    /// Gateway to whoever wants: where all drones of the swarm are from here.
+    /// Gateway to any subscriber: poses of all drones of the swarm from here.
     Swarms = "flockeye/swarm", SwarmHeader, [SwarmPose],
         [Gateway] => [], |_header, items| items.iter().try_for_each(SwarmPose::check);
     /// Every stage to the launcher.
@@ -169,10 +187,10 @@ topics! {
     /// Simulator to evaluation.
     Truths = "flockeye/truth", TruthHeader, [BodyTruth],
         [Simulator] => [], |header, items| header.check(items);
-    /// Launcher to every stage: which of two processes of a stage counts.
+    /// Launcher to every stage: selects which of two processes of a stage counts.
     HandOvers = "flockeye/handover", HandOver, [u8],
         [] => [Capture, Simulator, Inertial, Egomotion, Rectification, Detection, Fusion, Autopilot, Gateway, Ros2], |header, _items| header.check();
-    /// Every stage to the launcher: another process does not do what it owes.
+    /// Every stage to the launcher: a fault of another process.
     Complaints = "flockeye/complaint", Complaint, [u8],
         [Capture, Simulator, Inertial, Egomotion, Rectification, Detection, Fusion, Autopilot, Gateway, Ros2] => [], |header, _items| header.check();
 }

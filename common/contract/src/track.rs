@@ -7,22 +7,22 @@ use iceoryx2::prelude::ZeroCopySend;
 use crate::error::{check_finite, check_unit};
 use crate::{ContractError, FrameStamp, MeasuredBy, StopReason, Text, TrackState};
 
-/// Header of `frame_end`: rectification is done with a frame. No payload.
+/// Header of `frame_end`: rectification has finished a frame. No payload.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable, ZeroCopySend, Described)]
 #[type_name("flockeye/FrameEnd")]
 #[repr(C)]
 pub struct FrameEnd {
     /// The frame.
     pub stamp: FrameStamp,
-    /// The plan that was followed; 0 where rectification swept on its own.
+    /// The executed plan; 0 where rectification swept on its own.
     pub plan_id: u64,
-    /// When the frame was taken up, CLOCK_MONOTONIC, nanoseconds. A latency field.
+    /// Start of the work on the frame, CLOCK_MONOTONIC, nanoseconds. A latency field.
     pub taken_ns: i64,
-    /// When its last view was out, CLOCK_MONOTONIC, nanoseconds. A latency field.
+    /// Publication of its last view, CLOCK_MONOTONIC, nanoseconds. A latency field.
     pub ended_ns: i64,
-    /// Views that were published; their indices are 0 to this number less one.
+    /// Number of published views; their indices are 0 to this number less one.
     pub views_issued: u32,
-    /// Views of the plan that were not.
+    /// Number of views of the plan that were not published.
     pub views_abandoned: u32,
     /// A [`StopReason`].
     pub reason: u32,
@@ -63,22 +63,22 @@ impl Pose {
     }
 }
 
-/// Header of `track`. Payload: the [`Track`]s that this message brings up to date.
+/// Header of `track`. Payload: the [`Track`]s that this message updates.
 ///
-/// A frame may give several messages: a neighbour's pose goes out as soon as it is known.
+/// A frame may produce several messages: each neighbour's pose is published as soon as it is known.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable, ZeroCopySend, Described)]
 #[type_name("flockeye/TrackHeader")]
 #[repr(C)]
 pub struct TrackHeader {
-    /// The frame that the tracks are up to date with.
+    /// Newest frame in these tracks.
     pub stamp: FrameStamp,
     /// Rises each time fusion's process is replaced.
     pub generation: u32,
-    /// 1 in the message that ends the frame (it may bring no track), 0 in those before it.
+    /// 1 in the message that ends the frame (it may have no track), 0 in earlier ones.
     pub is_last: u32,
 }
 
-/// How long each stage took with what led to a track, nanoseconds; -1 where it is unknown.
+/// Latency of each stage for the data of a track, nanoseconds; -1 where it is unknown.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Pod, Zeroable, ZeroCopySend, Described)]
 #[type_name("flockeye/StageLatency")]
 #[repr(C)]
@@ -95,7 +95,7 @@ pub struct StageLatency {
     pub total_ns: i64,
 }
 
-/// A neighbour, as far as one frame goes.
+/// State of a neighbour after one frame.
 #[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable, ZeroCopySend, Described)]
 #[type_name("flockeye/Track")]
 #[repr(C)]
@@ -106,28 +106,29 @@ pub struct Track {
     /// observer's frame.
     pub covariance: [f64; 36],
     /// Velocity of the target relative to the observer, along the observer's axes, m/s. Where the
-    /// observer's own rotation is known (`rotation`), it is taken out: a neighbour that stands still has
-    /// none while the observer yaws. Otherwise it is the change of the position in the observer's frame.
+    /// observer's own rotation is known (`rotation`), it is subtracted. Then a neighbour that
+    /// stands still has no velocity while the observer yaws. Otherwise it is the change of the
+    /// position in the observer's frame.
     pub linear_velocity: [f64; 3],
-    /// Angular velocity of the target along the observer's axes, rad/s; the observer's own rotation is
-    /// taken out as above.
+    /// Angular velocity of the target along the observer's axes, rad/s. The observer's own rotation
+    /// is subtracted as above.
     pub angular_velocity: [f64; 3],
     /// This frame's own measurement of the same pose, where `measured_by` is not `nothing`.
     pub measured_observer_from_target: Pose,
     /// Its covariance, as above.
     pub measured_covariance: [f64; 36],
-    /// The filtered pose, predicted for `predicted_ns`, in the observer's frame of then.
+    /// The filtered pose, predicted for `predicted_ns`, in the observer's frame at that time.
     pub predicted_observer_from_target: Pose,
     /// Its covariance, as above.
     pub predicted_covariance: [f64; 36],
-    /// When the message was sent, on the clock of the exposures: what `predicted_observer_from_target`
-    /// holds for. In a lossless run, which is not in real time, it is the exposure.
+    /// Time for which `predicted_observer_from_target` holds, on the clock of the exposures: the
+    /// sending time. In a lossless run, which is not in real time, it is the exposure.
     pub predicted_ns: i64,
     /// Time since the track began, nanoseconds.
     pub age_ns: i64,
     /// Time since it was last measured, nanoseconds.
     pub unseen_ns: i64,
-    /// How long each stage took.
+    /// Latency of each stage.
     pub latency: StageLatency,
     /// The target's name, as configured.
     pub name: Text<32>,
@@ -139,7 +140,7 @@ pub struct Track {
     pub state: u32,
     /// A [`MeasuredBy`].
     pub measured_by: u32,
-    /// Markers of the target decoded in this frame, as far as it was searched by then.
+    /// Number of markers of the target decoded in this frame so far.
     pub markers: u32,
     /// Keeps the size a multiple of 8; zero.
     pub reserved: u32,

@@ -1,4 +1,4 @@
-//! `truth`: what a simulated source knows and a camera does not.
+//! `truth`: ground truth of a simulated source.
 
 use bytemuck::{Pod, Zeroable};
 use flockeye_contract_derive::Described;
@@ -13,7 +13,8 @@ use crate::{ContractError, FrameStamp, Pose, Text};
 pub struct TruthHeader {
     /// The frame.
     pub stamp: FrameStamp,
-    /// Orientation of the camera in the world, unit quaternion x y z w; all zero where it is not known.
+    /// Orientation of the camera in the world, unit quaternion x y z w; all zero where it is not
+    /// known.
     pub world_from_camera: [f64; 4],
     /// The observer's own yaw in the world, radians.
     pub observer_yaw: f64,
@@ -21,7 +22,7 @@ pub struct TruthHeader {
     pub exposure_s: f64,
 }
 
-/// Where a body really is, and how much of it the frame shows.
+/// True pose of a body, and its visibility in the frame.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable, ZeroCopySend, Described)]
 #[type_name("flockeye/BodyTruth")]
 #[repr(C)]
@@ -42,7 +43,7 @@ pub struct BodyTruth {
     pub markers_visible_50: u32,
     /// Markers of which at least 90 % is visible.
     pub markers_visible_90: u32,
-    /// 1 if a whole marker is seen at less than 65 degrees of incidence.
+    /// 1 if a whole marker is visible at less than 65 degrees of incidence.
     pub localisable: u32,
 }
 

@@ -19,11 +19,11 @@ use crate::{ContractError, FrameStamp, Pose, Search, ViewKind};
 pub struct ViewHeader {
     /// The frame it was cut from.
     pub stamp: FrameStamp,
-    /// The plan that asked for it; 0 where rectification swept on its own.
+    /// The plan that requested it; 0 where rectification swept on its own.
     pub plan_id: u64,
-    /// When rectification took up the frame, CLOCK_MONOTONIC, nanoseconds. A latency field.
+    /// Start of rectification's work on the frame, CLOCK_MONOTONIC, nanoseconds. A latency field.
     pub taken_ns: i64,
-    /// When the view was published, CLOCK_MONOTONIC, nanoseconds. A latency field.
+    /// Publication time of the view, CLOCK_MONOTONIC, nanoseconds. A latency field.
     pub issued_ns: i64,
     /// Rotation from the view's frame to the camera's at the frame's exposure, x y z w.
     pub camera_from_view: [f64; 4],
@@ -35,11 +35,11 @@ pub struct ViewHeader {
     pub readout_ns: u64,
     /// Rises each time rectification's process is replaced.
     pub generation: u32,
-    /// Place of this view in the plan, from 0; the detection record repeats it.
+    /// Index of this view in the plan, from 0; the detection record repeats it.
     pub view_index: u32,
     /// Rises each time the same view is cut again for another worker.
     pub attempt: u32,
-    /// The detection worker that is to search it.
+    /// Number of the detection worker that must search it.
     pub worker: u32,
     /// Pixels along a side.
     pub size_px: u32,

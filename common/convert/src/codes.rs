@@ -1,4 +1,4 @@
-//! Codes of the contract and the types of geometry and imaging that they stand for.
+//! Conversions between codes of the contract and enumerations of geometry and imaging.
 
 use flockeye_contract as contract;
 use flockeye_contract::{FrameHeader, PixelFormat, Projection, Range, Transfer, ViewHeader};
@@ -15,8 +15,8 @@ pub fn projection_of(camera: &Camera) -> Projection {
     }
 }
 
-/// What the headers of all frames of a camera have in common: 8-bit luma of full range, with no gap
-/// between rows.
+/// Common fields of the headers of a camera's frames: 8-bit luma of full range, with no gap between
+/// rows.
 pub fn frame_header(
     camera: &Camera,
     (transfer, gamma): (Transfer, f32),
@@ -36,7 +36,7 @@ pub fn frame_header(
     }
 }
 
-/// The curve that a code stands for; `None` for a measured table, which the configuration has.
+/// Transfer curve of a code; `None` for a measured table, which the configuration contains.
 pub fn transfer_curve(transfer: Transfer, gamma: f32) -> Option<TransferCurve> {
     match transfer {
         Transfer::Srgb => Some(TransferCurve::Srgb),
@@ -46,7 +46,7 @@ pub fn transfer_curve(transfer: Transfer, gamma: f32) -> Option<TransferCurve> {
     }
 }
 
-/// The code values that stand for black and white.
+/// Code values of black and white.
 pub fn code_range(range: Range) -> CodeRange {
     match range {
         Range::Full => CodeRange::Full,
@@ -63,8 +63,7 @@ pub fn stop_rule(rule: search::StopRule) -> contract::StopRule {
     }
 }
 
-/// How a view says that it is searched. An unknown code, which no checked view has, counts as all
-/// windows.
+/// Search windows of a view. An unknown code, which no checked view has, means all windows.
 pub fn search_of(view: &ViewHeader) -> search::Search {
     match contract::Search::try_from(view.search) {
         Ok(contract::Search::FineWindow) => search::Search::FineWindow,
@@ -74,7 +73,7 @@ pub fn search_of(view: &ViewHeader) -> search::Search {
     }
 }
 
-/// Why a view was cut, as it states itself. `None` for an unknown code.
+/// Purpose of a view, from its header. `None` for an unknown code.
 pub fn purpose_of(view: &ViewHeader) -> Option<search::Purpose> {
     match contract::ViewKind::try_from(view.kind).ok()? {
         contract::ViewKind::Partition => Some(search::Purpose::Partition(view.tile as usize)),

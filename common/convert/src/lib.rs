@@ -1,8 +1,8 @@
 //! Conversions between contract types and the types of nalgebra, geometry and imaging.
 //!
-//! The contract has arrays and codes, which any language can read; geometry and imaging have
-//! nalgebra's types and enumerations. Every conversion between the two is here, so that all stages
-//! understand a message alike.
+//! The contract uses arrays and codes, which any language can read; geometry and imaging use
+//! nalgebra's types and enumerations. This crate has all conversions between the two, so that all
+//! stages interpret a message alike.
 
 mod codes;
 mod imu;

@@ -13,7 +13,7 @@ pub fn xyzw(rotation: &UnitQuaternion<f64>) -> [f64; 4] {
     rotation.coords.into()
 }
 
-/// A transform as the contract has it.
+/// A transform as a pose of the contract.
 pub fn pose(isometry: &Isometry3<f64>) -> Pose {
     Pose { position: isometry.translation.vector.into(), orientation: xyzw(&isometry.rotation) }
 }
@@ -23,9 +23,9 @@ pub fn isometry(pose: &Pose) -> Isometry3<f64> {
     Isometry3::from_parts(Translation3::from(pose.position), rotation(pose.orientation))
 }
 
-/// A 6x6 matrix row by row, as the contract has covariances.
+/// A 6x6 matrix row by row, the order of the contract's covariances.
 pub fn row_major(matrix: &Matrix6<f64>) -> [f64; 36] {
-    // nalgebra keeps columns; a covariance is symmetric, but rounding need not be.
+    // nalgebra stores columns. A covariance is symmetric, but rounding may break that.
     std::array::from_fn(|k| matrix[(k / 6, k % 6)])
 }
 
@@ -34,7 +34,7 @@ pub fn matrix6(row_major: &[f64; 36]) -> Matrix6<f64> {
     Matrix6::from_row_slice(row_major)
 }
 
-/// The upper triangle of a 6x6 row-major matrix, row by row, as reports have covariances.
+/// Upper triangle of a 6x6 row-major matrix, row by row, the order of covariances in reports.
 pub fn upper_triangle(matrix: &[f64; 36]) -> [f64; 21] {
     let mut cells = (0..6).flat_map(|row| (row..6).map(move |column| matrix[6 * row + column]));
     // 6 + 5 + 4 + 3 + 2 + 1 cells: the iterator has exactly as many as the array.

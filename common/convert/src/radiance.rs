@@ -1,4 +1,4 @@
-//! The radiance that a view's code values stand for.
+//! Radiance of a view's code values.
 
 use std::collections::BTreeMap;
 use std::collections::btree_map::Entry;
@@ -9,11 +9,11 @@ use flockeye_imaging::light::{LightError, LinearLight};
 use crate::codes::{code_range, transfer_curve};
 use crate::view::ViewError;
 
-/// Curves that are kept at most: a source that changes its curve with every frame must not fill the
-/// memory.
+/// Maximum number of cached curves. A source that changes its curve with every frame must not fill
+/// the memory.
 const MAX_CURVES: usize = 8;
 
-/// Tables from code values to linear radiance, one for each transfer curve that view headers state.
+/// Tables from code values to linear radiance, one for each transfer curve in view headers.
 #[derive(Debug, Clone)]
 pub struct RadianceCache {
     /// The camera's own curve, where it was measured.
@@ -39,7 +39,7 @@ impl RadianceCache {
     /// The radiance of a view's codes.
     ///
     /// # Errors
-    /// A curve that cannot be undone, or a table where none was configured.
+    /// The curve cannot be inverted, or a table is missing in the configuration.
     pub fn of(&mut self, header: &ViewHeader) -> Result<&LinearLight, ViewError> {
         // The contract's check has refused unknown codes, so the default is never used.
         let transfer = Transfer::try_from(header.transfer).unwrap_or(Transfer::Srgb);

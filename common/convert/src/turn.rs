@@ -6,7 +6,7 @@ use nalgebra::Matrix3;
 
 use crate::pose::{rotation, xyzw};
 
-/// The turn that a message states; `None` where it says that nothing is known.
+/// Rotation in a message; `None` where the message states that it is unknown.
 pub fn camera_turn(message: &Rotation) -> Option<CameraTurn> {
     if message.source == RotationSource::Nothing.code() {
         return None;
@@ -59,7 +59,7 @@ pub fn rotation_message(
     }
 }
 
-/// A covariance row by row. It is made symmetric: rounding need not leave it so.
+/// A covariance row by row, made symmetric: rounding may break the symmetry.
 fn row_major(matrix: &Matrix3<f64>) -> [f64; 9] {
     let symmetric = (matrix + matrix.transpose()) / 2.0;
     std::array::from_fn(|k| symmetric[(k / 3, k % 3)])

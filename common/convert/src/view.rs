@@ -1,4 +1,4 @@
-//! A view's message as its geometry and its pixels.
+//! Geometry and pixels of a view's message.
 
 use flockeye_contract::{PlannedView, ViewHeader};
 use flockeye_geometry::view::View;
@@ -8,7 +8,7 @@ use nalgebra::{UnitQuaternion, Vector3};
 
 use crate::pose::rotation;
 
-/// Why a view's pixels cannot be used.
+/// Reason why a view's pixels cannot be used.
 #[allow(missing_docs, reason = "the messages say what each is")]
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum ViewError {
@@ -23,7 +23,7 @@ pub enum ViewError {
     NoTable,
 }
 
-/// The geometry that a header states. The rotation is normalised; the contract's check has refused
+/// Geometry of a view from its header. The rotation is normalised; the contract's check has refused
 /// quaternions that are not of length 1.
 pub fn view_of(header: &ViewHeader) -> View {
     View {
@@ -33,12 +33,12 @@ pub fn view_of(header: &ViewHeader) -> View {
     }
 }
 
-/// A planned view as it is at a frame's exposure: a region of interest turns with its neighbour.
+/// A planned view at a frame's exposure: a region of interest turns with its neighbour.
 pub fn at_exposure(planned: &PlannedView, exposure_ns: i64) -> View {
     let reference_from_view = rotation(planned.camera_from_view);
     let elapsed_s = (exposure_ns - planned.reference_ns) as f64 * 1e-9;
     let turn = Vector3::from(planned.rate_in_camera) * elapsed_s;
-    // A prediction for another time than about now means nothing.
+    // A prediction for a distant time has no meaning.
     let is_near = turn.norm() < 0.5;
     let turn =
         if is_near { UnitQuaternion::from_scaled_axis(turn) } else { UnitQuaternion::identity() };
@@ -49,7 +49,7 @@ pub fn at_exposure(planned: &PlannedView, exposure_ns: i64) -> View {
     }
 }
 
-/// The pixels that a header states, in a message's items.
+/// Pixels of a view, from its header and the message's items.
 pub fn image_of<'p>(header: &ViewHeader, pixels: &'p [u8]) -> Result<LumaImage<'p>, ViewError> {
     let size = header.size_px as usize;
     Ok(LumaImage::new(pixels, size, size, header.stride as usize)?)

@@ -1,7 +1,7 @@
-//! Dictionaries: which cells belong to which id.
+//! Dictionaries: the cells of each marker id.
 //!
-//! OpenCV has 22 of its own, by name; others come in a file of the form that OpenCV writes. Every
-//! stage that looks at markers shares this one reading of them.
+//! OpenCV has 22 of its own, by name; others are files in OpenCV's format. Every stage that detects
+//! markers uses this one reader.
 //!
 //! ```
 //! use flockeye_dictionary::Dictionary;
@@ -46,13 +46,12 @@ impl std::fmt::Debug for Dictionary {
 }
 
 impl Dictionary {
-    /// One of [`PREDEFINED`], by name, or the dictionary in a file of OpenCV's own form (YAML or
-    /// XML with `nmarkers`, `markersize`, `maxCorrectionBits` and `marker_0` to `marker_<n-1>`),
-    /// by path.
+    /// A dictionary: one of [`PREDEFINED`], by name, or a file in OpenCV's format, by path. The
+    /// file is YAML or XML with `nmarkers`, `markersize`, `maxCorrectionBits` and `marker_0` to
+    /// `marker_<n-1>`.
     ///
     /// # Errors
-    /// A name that is neither, a file that is no dictionary (with what is wrong in it), or what
-    /// OpenCV says.
+    /// The name is neither, the file is no dictionary (with the fault), or OpenCV fails.
     pub fn load(name: &str) -> Result<Self, DictionaryError> {
         let (name, opencv) = match predefined::predefined(name)? {
             Some(predefined) => predefined,
@@ -73,7 +72,7 @@ impl Dictionary {
         Ok(Self { name: name.to_owned(), opencv, prints, bits: size as usize })
     }
 
-    /// The dictionary that `bodies` name, which has all of their markers.
+    /// The dictionary of `bodies`, which has all of their markers.
     ///
     /// # Errors
     /// As [`Dictionary::load`]; and ids that it does not have ([`DictionaryError::Outside`]).
@@ -107,7 +106,7 @@ impl Dictionary {
         Err(DictionaryError::Outside { name: self.name.clone(), last, outside })
     }
 
-    /// The name, or the path, that it was loaded by.
+    /// The name or the path by which it was loaded.
     pub fn name(&self) -> &str {
         &self.name
     }
@@ -117,22 +116,22 @@ impl Dictionary {
         self.bits
     }
 
-    /// How many markers it has: ids are 0 to one less.
+    /// Number of its markers: ids are 0 to one less.
     pub fn marker_count(&self) -> usize {
         self.prints.len()
     }
 
-    /// What marker `id` looks like.
+    /// Printed pattern of marker `id`.
     pub fn print(&self, id: u32) -> Option<&MarkerPrint> {
         self.prints.get(id as usize)
     }
 
-    /// What the markers look like, by id.
+    /// Printed patterns of the markers, by id.
     pub fn prints(&self) -> &[MarkerPrint] {
         &self.prints
     }
 
-    /// The dictionary as OpenCV has it.
+    /// The dictionary as an object of OpenCV.
     pub fn opencv(&self) -> &Ptr<CvDictionary> {
         &self.opencv
     }

@@ -6,7 +6,7 @@
 
 /// Cells along a side, without the border.
 pub(crate) const SIZE: i32 = 6;
-/// Cells that may be wrong.
+/// Maximum number of wrong cells.
 pub(crate) const CORRECTABLE: i32 = 12;
 
 /// Each marker's cells, row by row, 1 for white.

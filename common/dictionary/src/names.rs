@@ -1,7 +1,7 @@
 //! The names of OpenCV's own dictionaries.
 
-/// OpenCV's predefined dictionaries, in the order of its own enumeration. Case does not matter,
-/// because newer versions of OpenCV have `DICT_APRILTAG_16h5` also as `DICT_APRILTAG_16H5`.
+/// OpenCV's predefined dictionaries, in the order of its own enumeration. Case is ignored, because
+/// newer versions of OpenCV name `DICT_APRILTAG_16h5` also `DICT_APRILTAG_16H5`.
 pub const PREDEFINED: [&str; 22] = [
     "DICT_4X4_50",
     "DICT_4X4_100",
@@ -27,5 +27,5 @@ pub const PREDEFINED: [&str; 22] = [
     MIP_36H12,
 ];
 
-/// The one that Debian's OpenCV does not have.
+/// Name of the one that Debian's OpenCV does not have.
 pub(crate) const MIP_36H12: &str = "DICT_ARUCO_MIP_36h12";

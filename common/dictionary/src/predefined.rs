@@ -6,7 +6,7 @@ use opencv::core::Ptr;
 use crate::names::{MIP_36H12, PREDEFINED};
 use crate::{DictionaryError, mip_36h12, read};
 
-/// The dictionary of this name, and the name as [`PREDEFINED`] has it.
+/// The dictionary of this name, and the name as in [`PREDEFINED`].
 pub(crate) fn predefined(
     name: &str,
 ) -> Result<Option<(&'static str, Ptr<CvDictionary>)>, DictionaryError> {

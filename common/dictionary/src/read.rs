@@ -6,11 +6,11 @@ use opencv::prelude::*;
 
 use crate::DictionaryError;
 
-/// Markers wider than this many cells (without border) are no dictionary of anybody's.
+/// Maximum width of a marker without border, cells.
 const MAX_BITS: i32 = 16;
-/// Nor are more of them,
+/// Maximum number of markers.
 const MAX_MARKERS: i32 = 100_000;
-/// nor larger files: that many of 16 x 16 cells take a third of it.
+/// Maximum size of a file, bytes. The largest dictionary of 16 x 16 cells takes a third of it.
 const MAX_BYTES: u64 = 100_000_000;
 
 pub(crate) fn refused(path: &str, what: &str) -> DictionaryError {
@@ -18,7 +18,7 @@ pub(crate) fn refused(path: &str, what: &str) -> DictionaryError {
 }
 
 /// Reads a file. OpenCV's own reader writes past its buffer when a row of bits is too long, so each
-/// is checked here.
+/// row is checked here.
 pub(crate) fn file(path: &str) -> Result<Ptr<CvDictionary>, DictionaryError> {
     let bytes = std::fs::metadata(path).map_or(0, |metadata| metadata.len());
     if bytes > MAX_BYTES {

@@ -1,7 +1,7 @@
-//! Marker bodies: which marker sits where on a neighbour, and on what.
+//! Marker bodies: the place of each marker on a neighbour, and the solid that carries the markers.
 //!
-//! A [`Body`] is its [`Marker`]s and its [`Facet`]s: the flat sides of the solid that they are
-//! glued to. [`squares`] and its like make the solids that come with Flockeye,
+//! A [`Body`] is its [`Marker`]s and its [`Facet`]s: the flat sides of the solid to which the
+//! markers are glued. The functions around [`squares`] make the solids that come with Flockeye.
 //! [`Bodies::from_json`] reads others.
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -26,15 +26,15 @@ pub struct Body {
     pub name: String,
     /// Its markers, by rising id. Other markers are another body: see [`Body::with_markers`].
     pub markers: Vec<Marker>,
-    /// Where the marker body sits on its drone.
+    /// Pose of the marker body on its drone.
     pub target_from_markers: Isometry3<f64>,
     facets: Vec<Facet>,
 }
 
 impl Body {
     /// A body of these markers, each on a white square [`FACET_PER_MARKER`] times as large. The
-    /// other flat sides of their convex hull are its blank facets; markers that do not all lie on
-    /// their hull, or that lie in one plane, have no others.
+    /// other flat sides of the convex hull are the blank facets. There are none if the markers lie
+    /// in one plane, or not all on the hull.
     pub fn new(name: impl Into<String>, mut markers: Vec<Marker>) -> Self {
         markers.sort_by_key(|marker| marker.id);
         let quiet_zones_m: Vec<f64> = markers.iter().map(Marker::usual_quiet_zone_m).collect();
@@ -42,14 +42,15 @@ impl Body {
         Self::of_parts(name, markers, facets)
     }
 
-    /// `markers` come by rising id, and facets count them so.
+    /// Creates a body from `markers` by rising id. Facets refer to markers by their index in this
+    /// order.
     fn of_parts(name: impl Into<String>, markers: Vec<Marker>, facets: Vec<Facet>) -> Self {
         let target_from_markers = Isometry3::identity();
         Self { name: name.into(), markers, target_from_markers, facets }
     }
 
     /// Returns this solid with its markers where they were glued, not where they were meant to be.
-    /// Facets stay where they are. `None` unless the ids are the same, in the same order.
+    /// Facets stay in place. `None` unless the ids are equal and in the same order.
     pub fn with_markers(&self, markers: Vec<Marker>) -> Option<Self> {
         let ids = |markers: &[Marker]| markers.iter().map(|marker| marker.id).collect::<Vec<_>>();
         (ids(&markers) == ids(&self.markers)).then(|| Self { markers, ..self.clone() })
@@ -65,7 +66,7 @@ impl Body {
         self.markers.binary_search_by_key(&id, |marker| marker.id).ok().map(|k| &self.markers[k])
     }
 
-    /// Radius of the smallest sphere round the markers' origin that holds every corner, metres.
+    /// Radius of the smallest sphere around the markers' origin that contains every corner, metres.
     pub fn radius(&self) -> f64 {
         self.corners().map(|corner| corner.coords.norm()).fold(0.0, f64::max)
     }
@@ -81,16 +82,16 @@ impl Body {
     }
 }
 
-/// All bodies of a swarm: ids are shared by nobody.
+/// All bodies of a swarm. No two bodies share a marker id.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Bodies {
-    /// Name of the dictionary that all markers are from, as OpenCV has it: `DICT_5X5_250`.
+    /// Name of the dictionary of all markers, as in OpenCV: `DICT_5X5_250`.
     pub dictionary: String,
     bodies: Vec<Body>,
     owners: BTreeMap<u32, usize>,
 }
 
-/// Why a set of bodies was refused. Everything wrong with it is named at once.
+/// Reason why a set of bodies was refused, with all of its errors.
 #[derive(Debug, thiserror::Error)]
 pub enum BodiesError {
     /// The file is not JSON of this form.
@@ -102,10 +103,10 @@ pub enum BodiesError {
 }
 
 impl Bodies {
-    /// Checks that the bodies can be told apart and solved for.
+    /// Checks that bodies can be distinguished and that each allows a pose solution.
     ///
     /// # Errors
-    /// Every contradiction found: ids shared by two bodies, or used twice in one, bodies without
+    /// Every contradiction found: an id shared by two bodies or repeated in one, bodies without
     /// markers, markers that are no squares, corners listed counter-clockwise.
     pub fn new(dictionary: String, bodies: Vec<Body>) -> Result<Self, BodiesError> {
         let mut problems = Vec::new();
@@ -155,7 +156,7 @@ impl Bodies {
         self.bodies.iter()
     }
 
-    /// How many there are: at least one.
+    /// Number of bodies: at least one.
     #[expect(clippy::len_without_is_empty, reason = "there is always one")]
     pub fn len(&self) -> usize {
         self.bodies.len()
@@ -177,13 +178,13 @@ impl Bodies {
         self.bodies.get(index)
     }
 
-    /// Index of the body that carries marker `id`; `None` for an id nobody owns.
+    /// Index of the body that carries marker `id`; `None` if no body carries it.
     pub fn owner(&self, id: u32) -> Option<usize> {
         self.owners.get(&id).copied()
     }
 }
 
-/// What keeps four corners from being a printed square, if anything does.
+/// Reason why four corners are no printed square, if there is one.
 fn square_problem(marker: &Marker) -> Option<String> {
     if !marker.is_finite() {
         return Some("has a corner that is not a number".into());

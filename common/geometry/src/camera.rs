@@ -1,9 +1,9 @@
 //! Camera models: between pixels of the sphere image and rays.
 //!
-//! Every model is a [`Camera`], and whoever needs rays or pixels (rectification, masks, the search)
-//! asks that one type. Rays are directions in the camera frame, from the camera's middle. Lenses
-//! that sit beside the middle see a near thing elsewhere than a far one, so a camera with such
-//! lenses is right for one distance at a time: [`Camera::at_distance`].
+//! Every model is a [`Camera`]. Rectification, masks and the search get rays and pixels from this
+//! one type. Rays are directions in the camera frame, from the camera's middle. A lens beside the
+//! middle sees near and far objects in different directions. So a camera with such lenses is exact
+//! for one distance at a time: [`Camera::at_distance`].
 
 mod equirectangular;
 mod error;
@@ -23,25 +23,25 @@ pub use self::pixel::SpherePixel;
 pub use self::stereographic::Stereographic;
 use crate::Ray;
 
-/// A spherical camera: its model, the sides of its image, and the distance it is right for.
+/// A spherical camera: its model, the sides of its image, and the distance for which it is exact.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Camera {
     width: u32,
     height: u32,
     model: CameraModel,
-    /// One over the distance that rays are right for, 1/m; 0: infinitely far.
+    /// Inverse of the distance for which rays are exact, 1/m; 0 is infinity.
     nearness: f64,
 }
 
-/// How an image shows the sphere.
+/// Projection of the sphere to an image.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[expect(clippy::large_enum_variant, reason = "there is one camera, and it is copied seldom")]
 pub enum CameraModel {
-    /// Longitude along the rows, latitude along the columns. Stitched for things far away from two
-    /// lenses that sit `lens_distance_m` apart on the camera's x axis, one looking ahead and one
-    /// back; 0 for a camera with one centre.
+    /// Longitude along the rows, latitude along the columns. The image is stitched for distant
+    /// objects from two lenses on the camera's x axis, `lens_distance_m` apart. One lens looks
+    /// ahead, the other back. The distance is 0 for a camera with one centre.
     Equirectangular {
-        /// Metres between the two lenses.
+        /// Distance between the two lenses, metres.
         lens_distance_m: f64,
     },
     /// Two fisheye lenses, each with its image circle.
@@ -54,14 +54,15 @@ pub enum CameraModel {
     },
 }
 
-/// A distance is taken for at least this many times the lenses' offset from the middle.
+/// Least distance of an object, in offsets of the lenses from the middle. Smaller values are raised
+/// to this.
 const NEAREST_IN_OFFSETS: f64 = 2.0;
 
 impl Camera {
-    /// A camera that is right for things infinitely far away.
+    /// Creates a camera that is exact for objects at infinity.
     ///
     /// # Errors
-    /// Numbers that no camera has; see [`CameraError`].
+    /// Values that no camera has; see [`CameraError`].
     pub fn new(width: u32, height: u32, model: CameraModel) -> Result<Self, CameraError> {
         if width < 2 || height < 2 {
             return Err(CameraError::Sides { width, height });
@@ -80,18 +81,18 @@ impl Camera {
         Ok(Self { width, height, model, nearness: 0.0 })
     }
 
-    /// The equirectangular camera with one centre. Its sides are not looked at.
+    /// Creates the equirectangular camera with one centre, without a check of its sides.
     pub const fn equirectangular(width: u32, height: u32) -> Self {
         let model = CameraModel::Equirectangular { lens_distance_m: 0.0 };
         Self { width, height, model, nearness: 0.0 }
     }
 
-    /// Returns this camera, right for things `metres` away from its middle (infinity is allowed;
-    /// less than twice the lenses' offset counts as that).
+    /// Returns this camera, exact for objects `metres` away from its middle. Infinity is allowed.
+    /// Less than twice the lenses' offset counts as twice the offset.
     pub fn at_distance(self, metres: f64) -> Self {
         let farthest = self.largest_offset_m();
         let least = NEAREST_IN_OFFSETS * farthest;
-        // NaN is no distance, and keeps the one there was.
+        // NaN is no distance, so the previous one stays.
         let nearness = match metres {
             _ if farthest == 0.0 => 0.0,
             metres if metres.is_nan() => self.nearness,
@@ -115,18 +116,17 @@ impl Camera {
         &self.model
     }
 
-    /// One over the distance that rays are right for, 1/m.
+    /// Inverse of the distance for which rays are exact, 1/m.
     pub fn nearness(&self) -> f64 {
         self.nearness
     }
 
-    /// The distance that rays are right for, metres; infinite where it does not matter.
+    /// Distance for which rays are exact, metres; infinite where the distance does not matter.
     pub fn distance_m(&self) -> f64 {
         1.0 / self.nearness
     }
 
-    /// The model if it is the equirectangular one with a single centre, or with its lenses' offset
-    /// of no account.
+    /// Returns the model if it is equirectangular and the offset of its lenses does not matter.
     pub fn as_equirectangular(&self) -> Option<Equirectangular> {
         let is_plain = match self.model {
             CameraModel::Equirectangular { lens_distance_m } => {
@@ -147,8 +147,8 @@ impl Camera {
         Stereographic::new(self.width, self.height, field_rad)
     }
 
-    /// The ray that the point `pixel` sees; `None` outside the image circles. An equirectangular
-    /// image goes round: any column has a ray.
+    /// Returns the ray of the point `pixel`; `None` outside the image circles. An equirectangular
+    /// image wraps around, so any column has a ray.
     pub fn ray(&self, pixel: SpherePixel) -> Option<Ray> {
         match &self.model {
             &CameraModel::Equirectangular { lens_distance_m } => {
@@ -167,10 +167,11 @@ impl Camera {
         }
     }
 
-    /// The point that sees `ray_in_camera`; `None` for rays that no image circle holds.
+    /// Returns the point that shows `ray_in_camera`; `None` for rays outside every image circle.
     ///
-    /// Where both fisheye lenses see it, the one whose axis is nearer counts. Of the stitched
-    /// camera with two lenses, neither sees the strip between them: there the point is the seam's.
+    /// Where both fisheye lenses see the ray, the lens with the nearer axis counts. In the stitched
+    /// camera with two lenses, neither lens sees the strip between them. The point is on the seam
+    /// there.
     pub fn project(&self, ray_in_camera: &Ray) -> Option<SpherePixel> {
         match &self.model {
             &CameraModel::Equirectangular { lens_distance_m } => {
@@ -204,8 +205,8 @@ impl Camera {
         }
     }
 
-    /// Pixels for each radian: along the equator of an equirectangular image, on the axis of a
-    /// fisheye lens (the finer of two), in the middle of a stereographic plane.
+    /// Pixels per radian: along the equator of an equirectangular image, on the axis of a fisheye
+    /// lens (the finer of two), in the middle of a stereographic plane.
     pub fn pixels_per_radian(&self) -> f64 {
         match &self.model {
             CameraModel::Equirectangular { .. } => self.sphere().pixels_per_radian(),
@@ -216,7 +217,7 @@ impl Camera {
         }
     }
 
-    /// Farthest that a lens sits from the camera's middle, metres.
+    /// Largest distance of a lens from the camera's middle, metres.
     fn largest_offset_m(&self) -> f64 {
         match &self.model {
             CameraModel::Equirectangular { lens_distance_m } => lens_distance_m / 2.0,
@@ -228,8 +229,9 @@ impl Camera {
     }
 }
 
-/// The direction from the camera's middle, at distance 1, of what a lens at `lens` (in units of
-/// that distance) sees along `seen`: the intersection of that ray with the unit sphere.
+/// Direction from the camera's middle to an object at distance 1 that the lens at `lens` sees along
+/// `seen`. It is the intersection of that ray with the unit sphere. `lens` is in units of that
+/// distance.
 fn from_middle(seen: &Ray, lens: &Vector3<f64>) -> Ray {
     let along = lens.dot(seen);
     let reach = (1.0 - lens.norm_squared() + along * along).sqrt() - along;

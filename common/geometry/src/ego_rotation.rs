@@ -1,13 +1,13 @@
-//! How the camera itself has turned: what carries neighbours on while it does.
+//! The camera's own rotation, which predictions of neighbours follow.
 
 use std::collections::VecDeque;
 
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 
-/// How fast angular acceleration changes: white-noise jerk about each axis, rad/s^3 per root Hz. A
-/// drone in gusts that rolls by 15 degrees at 0.7 Hz has up to 22 rad/s^3, which over a frame of 33
-/// ms is as much.
+/// Random change of angular acceleration: white-noise jerk about each axis, rad/s^3 per root Hz. A
+/// drone in gusts that rolls by 15 degrees at 0.7 Hz has up to 22 rad/s^3. Over a frame of 33 ms
+/// both have the same effect.
 pub const JERK: f64 = 3.5;
 
 /// An acceleration is not expected to last longer than this, seconds.
@@ -16,36 +16,36 @@ const ACCELERATION_LASTS_S: f64 = 0.1;
 /// A rate is not expected to last longer than this, seconds.
 const RATE_LASTS_S: f64 = 0.3;
 
-/// How the camera turned from one time to a later one.
+/// Rotation of the camera from one time to a later one.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct CameraTurn {
     /// The earlier time, seconds.
     pub earlier_s: f64,
     /// The later time, seconds.
     pub later_s: f64,
-    /// Turns directions in the camera frame of then into that of later.
+    /// Rotates directions from the camera frame of the earlier time into that of the later time.
     pub later_from_earlier: UnitQuaternion<f64>,
-    /// Covariance of its rotation vector in the later camera frame, rad^2.
+    /// Covariance of the rotation vector in the later camera frame, rad^2.
     pub covariance: Matrix3<f64>,
     /// The camera's angular velocity at the later time, in its own axes, rad/s.
     pub rate_in_camera: Vector3<f64>,
     /// Covariance of the rate, (rad/s)^2.
     pub rate_covariance: Matrix3<f64>,
-    /// How it has turned on since the later time, where an inertial sensor knows that.
+    /// Rotation since the later time, where an inertial sensor measures it.
     pub ahead: Option<TurnAhead>,
 }
 
-/// How the camera turned on after its newest picture, by an inertial sensor. The next picture's
-/// turn stands for the same time and replaces it.
+/// Rotation of the camera since its newest picture, from an inertial sensor. The rotation from the
+/// next picture covers the same time and replaces it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TurnAhead {
-    /// Until when this is known, seconds.
+    /// End of the measured rotation, seconds.
     pub until_s: f64,
-    /// Turns directions in the camera frame of the picture into that of then.
+    /// Rotates directions from the camera frame of the picture into that of `until_s`.
     pub ahead_from_later: UnitQuaternion<f64>,
-    /// Covariance of its rotation vector in the camera frame of then, rad^2.
+    /// Covariance of the rotation vector in the camera frame of `until_s`, rad^2.
     pub covariance: Matrix3<f64>,
-    /// The camera's angular velocity then, in its own axes, rad/s.
+    /// The camera's angular velocity at `until_s`, in its own axes, rad/s.
     pub rate_in_camera: Vector3<f64>,
     /// Covariance of the rate, (rad/s)^2.
     pub rate_covariance: Matrix3<f64>,
@@ -75,12 +75,12 @@ impl CameraTurn {
     }
 }
 
-/// A rotation of the camera between two times, and how certain it is.
+/// A rotation of the camera between two times, with its covariance.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Turned {
-    /// Turns directions in the camera frame of then into that of later.
+    /// Rotates directions from the camera frame of the earlier time into that of the later time.
     pub later_from_earlier: UnitQuaternion<f64>,
-    /// Covariance of its rotation vector in the later camera frame, rad^2.
+    /// Covariance of the rotation vector in the later camera frame, rad^2.
     pub covariance: Matrix3<f64>,
 }
 
@@ -107,13 +107,13 @@ impl Turned {
     }
 }
 
-/// The camera's own rotation over the last seconds. While nothing is known of it, the camera is
-/// taken not to turn, with certainty: then a track is what it is in the camera's axes.
+/// The camera's own rotation over the last seconds. Where it is not known, the camera counts as not
+/// turning, with zero covariance. Then tracks are relative to the camera's axes.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct EgoRotation {
     keep_s: f64,
     knots: VecDeque<Knot>,
-    /// Whether the last knot is of a [`TurnAhead`], which the next turn replaces.
+    /// Whether the last knot comes from a [`TurnAhead`], which the next turn replaces.
     is_ahead: bool,
 }
 
@@ -121,7 +121,7 @@ pub struct EgoRotation {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 struct Knot {
     at_s: f64,
-    /// How it has turned since the knot before.
+    /// Rotation since the knot before.
     turned: Turned,
     rate: Vector3<f64>,
     rate_covariance: Matrix3<f64>,
@@ -130,13 +130,13 @@ struct Knot {
 }
 
 impl EgoRotation {
-    /// Nothing is known yet. Turns are kept for `keep_s` seconds.
+    /// Creates a history without any rotation. Turns are kept for `keep_s` seconds.
     pub fn new(keep_s: f64) -> Self {
         Self { keep_s, knots: VecDeque::new(), is_ahead: false }
     }
 
-    /// Goes on with what another process knew. Returns false, and knows what it did before, if a
-    /// number of it is not finite.
+    /// Continues with the history of another process. Returns false and changes nothing if one of
+    /// its numbers is not finite.
     pub fn resume(&mut self, saved: Self) -> bool {
         let is_usable = saved.knots.iter().all(Knot::is_finite);
         if is_usable {
@@ -145,8 +145,8 @@ impl EgoRotation {
         is_usable
     }
 
-    /// Takes in the next turn. One that ends with the last one is left out. One that ends before it
-    /// says that the clock has jumped, because turns come in order: then all begins anew.
+    /// Adds the next turn. A turn with the same end as the last one is left out. Turns come in
+    /// order, so an earlier end means that the clock has jumped. Then the history starts anew.
     pub fn add(&mut self, turn: &CameraTurn) {
         let measured = self.knots.len().checked_sub(1 + usize::from(self.is_ahead));
         if measured
@@ -182,7 +182,7 @@ impl EgoRotation {
             self.knots.push_back(Knot::of(turn, turned, turn.later_s, None));
             return;
         };
-        // Frames that nothing is known of lie between, or turns that overlap.
+        // Frames without a known rotation lie between the turns, or the turns overlap.
         let turned = match turn.earlier_s - last.at_s {
             gap_s if gap_s > 0.0 => last.ahead(gap_s).then(&turned),
             overlap_s => {
@@ -197,14 +197,14 @@ impl EgoRotation {
         }
     }
 
-    /// Until when the rotation is known, by pictures or by an inertial sensor beyond them, seconds;
-    /// `None` while it never was.
+    /// End of the known rotation, from pictures or from an inertial sensor, seconds; `None` before
+    /// the first turn.
     pub fn known_until_s(&self) -> Option<f64> {
         self.knots.back().map(|last| last.at_s)
     }
 
-    /// How the camera turns from one time to another, not earlier, one. Beyond what is known, it is
-    /// expected to turn on as it did, ever less certainly.
+    /// Rotation of the camera from one time to another that is not earlier. Beyond the known
+    /// rotation, the last motion is extrapolated with growing covariance.
     pub fn between(&self, earlier_s: f64, later_s: f64) -> Turned {
         let (Some(first), Some(last)) = (self.knots.front(), self.knots.back()) else {
             return Turned::none();
@@ -223,8 +223,8 @@ impl EgoRotation {
         if later_s > last.at_s {
             let ahead = last.ahead(later_s - last.at_s);
             let ahead = match earlier_s > last.at_s {
-                // Only what it turns by after `earlier_s`; how certain that is, is that of the
-                // whole way.
+                // Only the rotation after `earlier_s`, with the covariance of the whole
+                // extrapolation.
                 true => Turned {
                     later_from_earlier: ahead.later_from_earlier
                         * last.ahead(earlier_s - last.at_s).later_from_earlier.inverse(),
@@ -272,7 +272,7 @@ impl Knot {
         }
     }
 
-    /// The camera when an inertial sensor last told of it, after the knot of a picture.
+    /// Knot at the newest sample of an inertial sensor, after the knot of a picture.
     fn ahead_of(last: &Self, ahead: &TurnAhead) -> Self {
         let since_s = ahead.until_s - last.at_s;
         // Over a few milliseconds a difference of rates is mostly noise.
@@ -301,11 +301,11 @@ impl Knot {
         self.at_s.is_finite() && numbers.all(|number| number.is_finite())
     }
 
-    /// How the camera is expected to turn in the `ahead_s` seconds after this.
+    /// Expected rotation in the `ahead_s` seconds after this knot.
     fn ahead(&self, ahead_s: f64) -> Turned {
         let rate_s = ahead_s.min(RATE_LASTS_S);
         let bent_s = ahead_s.min(ACCELERATION_LASTS_S);
-        // The acceleration changes the rate for a while, and the rate lasts.
+        // The acceleration changes the rate for a short time, and the rate lasts longer.
         let bent = self.acceleration * (bent_s * bent_s / 2.0 + bent_s * (rate_s - bent_s));
         Turned {
             later_from_earlier: UnitQuaternion::from_scaled_axis(-(self.rate * rate_s + bent)),
@@ -313,7 +313,7 @@ impl Knot {
         }
     }
 
-    /// How the camera turned in the seconds before this, if it turned as it did then.
+    /// Rotation in the seconds before this knot, extrapolated from its motion.
     fn back_to(&self, before_s: f64) -> Turned {
         Turned {
             later_from_earlier: UnitQuaternion::from_scaled_axis(
@@ -323,7 +323,7 @@ impl Knot {
         }
     }
 
-    /// Covariance of a rotation that is expected and not measured, over so many seconds.
+    /// Covariance of an extrapolated rotation after this many seconds.
     fn doubt(&self, over_s: f64) -> Matrix3<f64> {
         let jerk = JERK * JERK * over_s.powi(5) / 20.0;
         self.rate_covariance * (over_s * over_s) + Matrix3::from_diagonal_element(jerk)

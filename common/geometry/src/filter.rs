@@ -1,4 +1,4 @@
-//! The filter of one neighbour: where it is now, and where it will be.
+//! The filter of one neighbour: its present and future pose.
 //!
 //! An error-state Kalman filter on position x rotation with constant velocity, driven by
 //! white-noise acceleration (Bar-Shalom, Li, Kirubarajan, "Estimation with Applications to Tracking
@@ -10,11 +10,11 @@
 //! axes: `R_true = exp(rotation error) R`. So the leading 6x6 block is the project's pose
 //! covariance.
 //!
-//! The camera turns, and a turn is no acceleration of all neighbours at once. So velocities are
-//! those in axes that do not turn. They are written along the camera's axes of the moment. A step
-//! turns the whole state by the camera's own rotation ([`EgoRotation`]), and takes on that
-//! rotation's uncertainty. Where the rotation is not known, the camera is taken not to turn, and
-//! velocities are those that the camera sees.
+//! A turn of the camera is no acceleration of the neighbours. So velocities are relative to axes
+//! that do not turn. Their components are along the camera's present axes. A step rotates the whole
+//! state by the camera's own rotation ([`EgoRotation`]), and adds that rotation's covariance. Where
+//! the rotation is not known, the camera counts as not turning, and velocities are relative to the
+//! camera.
 
 mod chi_square;
 mod life;
@@ -37,11 +37,11 @@ use serde::{Deserialize, Serialize};
 /// Covariance of the error: position, rotation vector, linear and angular velocity.
 pub type StateCovariance = SMatrix<f64, 12, 12>;
 
-/// How a neighbour is thought to move.
+/// Motion model of a neighbour.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct MotionModel {
     /// White-noise acceleration along each axis: root of its spectral density, m/s^2 per root Hz.
-    /// After a second of it, a velocity known before is uncertain by as many m/s.
+    /// It is also the standard deviation of a known velocity one second later, m/s.
     pub acceleration: f64,
     /// White-noise angular acceleration about each axis, rad/s^2 per root Hz.
     pub angular_acceleration: f64,
@@ -49,16 +49,17 @@ pub struct MotionModel {
     pub initial_speed: f64,
     /// Standard deviation of each component of a new track's angular velocity, rad/s.
     pub initial_rate: f64,
-    /// Steps longer than this are refused, seconds: nothing is known any more after them.
+    /// Longest prediction step, seconds. Longer steps are refused, because the result would be
+    /// meaningless.
     pub longest_step_s: f64,
 }
 
 impl Default for MotionModel {
     /// For small drones that fly together: 0.7 m/s^2 and 3 rad/s^2 per root Hz, 2 m/s and 1.5 rad/s
-    /// at first. A tenth of a second ahead that is 13 mm and 3 degrees along each axis, as much as
-    /// 2.5 m/s^2 and 11 rad/s^2, held, do; a whole second ahead 0.4 m. With more, less of the noise
-    /// of measurements is smoothed away, and a neighbour that is out of sight for some frames needs
-    /// so wide a view that nothing decodes in it.
+    /// at first. A tenth of a second ahead that is 13 mm and 3 degrees along each axis. A constant
+    /// 2.5 m/s^2 and 11 rad/s^2 have the same effect. A whole second ahead it is 0.4 m. Larger
+    /// values smooth less of the measurement noise. Then a neighbour out of sight for some frames
+    /// needs a view so wide that no marker decodes in it.
     fn default() -> Self {
         Self {
             acceleration: 0.7,
@@ -70,10 +71,10 @@ impl Default for MotionModel {
     }
 }
 
-/// Where a neighbour is, or will be, and how it moves.
+/// Present or predicted pose of a neighbour, with its velocities.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct MotionEstimate {
-    /// The time it holds for, seconds.
+    /// Time of the state, seconds.
     pub stamp_s: f64,
     /// The pose of the body's markers in the camera frame.
     pub camera_from_markers: Isometry3<f64>,
@@ -85,12 +86,12 @@ pub struct MotionEstimate {
     /// at each prediction, so it is not saved.
     #[serde(skip)]
     pub camera_rate: Vector3<f64>,
-    /// Covariance of all of it; see [`StateCovariance`].
+    /// Covariance of the whole state; see [`StateCovariance`].
     pub covariance: StateCovariance,
 }
 
 impl MotionEstimate {
-    /// The velocity that the camera sees: to a camera that turns, what stands still moves, m/s.
+    /// Velocity relative to the turning camera, in which an object at rest moves, m/s.
     pub fn apparent_velocity(&self) -> Vector3<f64> {
         self.velocity - self.camera_rate.cross(&self.camera_from_markers.translation.vector)
     }
@@ -102,8 +103,8 @@ impl MotionEstimate {
 
     /// Returns this state in the axes of a camera that has turned meanwhile.
     ///
-    /// If the camera has really turned by exp(d) more, a vector v is off by d x v, and the attitude
-    /// by d.
+    /// An error d of the camera's rotation causes the error d x v of a vector v, and the error d of
+    /// the attitude.
     fn turned(self, turned: &Turned) -> Self {
         let camera = &turned.later_from_earlier;
         let camera_from_markers = Isometry3::from_parts(
@@ -126,34 +127,35 @@ impl MotionEstimate {
     }
 }
 
-/// Why a filter could not be asked.
+/// Reason why the filter has no result.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 #[expect(missing_docs, reason = "the messages say what the fields are")]
 pub enum FilterError {
-    /// A pose, a time or a covariance is not a number, or a covariance is none.
+    /// A pose, a time or a covariance is not finite, or the matrix is no covariance.
     #[error("the {what} is not usable: it must be finite, a covariance also positive definite")]
     Unusable { what: &'static str },
     /// The time lies before the track's.
     #[error("{at_s:.6} s lies before the track's own time, {stamp_s:.6} s")]
     Past { at_s: f64, stamp_s: f64 },
-    /// The time lies so far after the track's that nothing is known of it.
+    /// The time lies too far after the track's for a prediction.
     #[error(
         "{at_s:.6} s lies more than {longest_s} s after the track's time, {stamp_s:.6} s: start anew"
     )]
     Gap { at_s: f64, stamp_s: f64, longest_s: f64 },
-    /// The measurement lies outside the gate; the track is as it was.
+    /// The measurement lies outside the gate; the track has not changed.
     #[error("the measurement lies outside the gate: {:.1} > {gate:.1}", .distance_squared)]
     Gated {
-        /// Squared Mahalanobis distance: chi-square with 6 degrees of freedom if all is as assumed.
+        /// Squared Mahalanobis distance: chi-square with 6 degrees of freedom if the model is
+        /// right.
         distance_squared: f64,
-        /// Logarithm of how likely the measurement was, but for a constant.
+        /// Log-likelihood of the measurement, up to a constant.
         log_likelihood: f64,
         gate: f64,
     },
 }
 
 impl MotionEstimate {
-    /// Begins a track with a measured pose, of unknown velocity.
+    /// Starts a track with a measured pose and unknown velocity.
     ///
     /// # Errors
     /// [`FilterError::Unusable`].
@@ -179,12 +181,12 @@ impl MotionEstimate {
         })
     }
 
-    /// Where the neighbour will be at `at_s` (seconds, on the clock of the measurements) if it
-    /// keeps its velocity, seen by a camera that turns by `ego`. The covariance states the
-    /// uncertainty.
+    /// Predicts the neighbour's state at `at_s` (seconds, on the clock of the measurements) with
+    /// constant velocity, for a camera that turns by `ego`.
     ///
     /// # Errors
-    /// A time before the track's, more than [`MotionModel::longest_step_s`] after it, or no number.
+    /// A time before the track's, more than [`MotionModel::longest_step_s`] after it, or a time
+    /// that is not finite.
     pub fn predict(
         &self,
         at_s: f64,
@@ -228,12 +230,12 @@ impl MotionEstimate {
         Ok(moved.turned(&ego.between(stamp_s, at_s)))
     }
 
-    /// Takes in a pose measured at `stamp_s` by a camera that turned by `ego`, unless it lies
-    /// outside `gate`: the largest squared Mahalanobis distance to pass (see [`chi_square_gate`]).
-    /// Returns the logarithm of how likely the measurement was, but for a constant.
+    /// Updates the state with a pose measured at `stamp_s` by a camera that turned by `ego`. A
+    /// measurement outside `gate` is refused: the largest squared Mahalanobis distance to pass (see
+    /// [`chi_square_gate`]). Returns the log-likelihood of the measurement, up to a constant.
     ///
     /// # Errors
-    /// [`FilterError`]; the track is then as it was before.
+    /// [`FilterError`]; the track is unchanged then.
     pub fn update(
         &mut self,
         stamp_s: f64,
@@ -262,13 +264,13 @@ impl MotionEstimate {
         let gain: SMatrix<f64, 12, 6> = factor.solve(&seen).transpose();
         let correction: SVector<f64, 12> = gain * difference;
 
-        // Joseph's form stays symmetric and positive whatever the rounding.
+        // Joseph's form stays symmetric and positive in spite of rounding.
         let mut keep = StateCovariance::identity();
         let mut shrink = keep.fixed_columns_mut::<6>(0);
         shrink -= gain;
         let mut updated =
             keep * predicted.covariance * keep.transpose() + gain * covariance * gain.transpose();
-        // The error is now counted from the corrected rotation (Sola, section 6.3).
+        // The error is now relative to the corrected rotation (Sola, section 6.3).
         let turned = correction.fixed_rows::<3>(3).into_owned();
         let mut reset = StateCovariance::identity();
         reset.fixed_view_mut::<3, 3>(3, 3).copy_from(&left_jacobian(&turned));

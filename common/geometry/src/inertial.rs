@@ -1,4 +1,4 @@
-//! What an inertial sensor says about the camera's rotation, and how far it is right.
+//! The camera's rotation from an inertial sensor, with the errors of that sensor.
 //!
 //! | module | what it does |
 //! | --- | --- |

@@ -60,5 +60,5 @@ pub mod statistics;
 pub mod timeline;
 pub mod view;
 
-/// A unit direction. What it is relative to is said by the name of the variable that holds it.
+/// A unit direction. The name of the variable states its frame.
 pub type Ray = nalgebra::Unit<nalgebra::Vector3<f64>>;

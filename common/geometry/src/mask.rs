@@ -1,4 +1,5 @@
-//! What a camera cannot see: beyond its image circles, and behind the own airframe.
+//! Pixels in which a camera does not see the outside: beyond its image circles, and on the own
+//! airframe.
 
 use crate::Ray;
 use crate::camera::{Camera, CameraError};
@@ -8,23 +9,23 @@ use crate::view::{View, ViewPixel};
 #[derive(Debug, Clone, PartialEq)]
 pub struct Mask {
     camera: Camera,
-    /// Whether each pixel sees out, row by row; empty where all do.
+    /// Whether each pixel shows the outside, row by row; empty where all do.
     seen: Vec<bool>,
 }
 
-/// Pixels of a view between two points that are looked at, at most: a gap holds no marker.
+/// Largest distance between two tested points of a view, pixels. A smaller gap contains no marker.
 const STEP_PX: u32 = 12;
 
 impl Mask {
-    /// Nothing is hidden but what the camera's image circles leave out.
+    /// Mask that hides only the area beyond the camera's image circles.
     pub fn nothing_hidden(camera: Camera) -> Self {
         Self { camera, seen: Vec::new() }
     }
 
-    /// What the pixels of an image of `sides` (columns, rows) see, row by row: `false` hides.
+    /// Mask from the pixels of an image of `sides` (columns, rows), row by row: `false` hides.
     ///
     /// # Errors
-    /// Other sides than the camera's.
+    /// Sides that differ from the camera's.
     pub fn new(camera: Camera, sides: [u32; 2], seen: Vec<bool>) -> Result<Self, CameraError> {
         let frame = [camera.width(), camera.height()];
         let pixels = frame[0] as usize * frame[1] as usize;
@@ -34,20 +35,20 @@ impl Mask {
         Ok(Self { camera, seen })
     }
 
-    /// Whether nothing can be seen along `ray_in_camera`.
+    /// Whether the camera sees nothing along `ray_in_camera`.
     pub fn hides(&self, ray_in_camera: &Ray) -> bool {
         let Some(at) = self.camera.project(ray_in_camera) else { return true };
         if self.seen.is_empty() {
             return false;
         }
-        // The pixel whose middle is nearest; positions reach half a pixel over the borders.
+        // Pixel with the nearest middle; positions reach half a pixel over the borders.
         let nearest = |at: f64, side: u32| (at.round().max(0.0) as usize).min(side as usize - 1);
         let column = nearest(at.0.x, self.camera.width());
         let row = nearest(at.0.y, self.camera.height());
         !self.seen[row * self.camera.width() as usize + column]
     }
 
-    /// Whether nothing can be seen anywhere in `view`.
+    /// Whether the camera sees nothing anywhere in `view`.
     pub fn hides_view(&self, view: &View) -> bool {
         let last = f64::from(view.size_px) - 1.0;
         let steps = view.size_px.div_ceil(STEP_PX).max(1);

@@ -1,10 +1,11 @@
-//! The partition of the sphere: which directions to look along so that nothing is missed
-//! (section III-A of the paper).
+//! The partition of the sphere: the directions of views that together miss nothing (section III-A
+//! of the paper).
 //!
-//! Two methods find the directions: `paper` spreads points and then grows circles round them,
-//! `covering` minimises the circles themselves. Either way the circles' diameter theta is measured
-//! on the convex hull of the directions, exactly. Views are squares, turned about their axes until
-//! the smallest ones hold whatever is as wide as the margin. docs/DETECTION.md has the figures.
+//! Two methods find the directions. `paper` spreads points and then grows circles around them.
+//! `covering` minimises the circles themselves. In both methods the circles' diameter theta is
+//! exact, from the convex hull of the directions. Views are squares, rotated about their axes so
+//! that the smallest squares contain every object as wide as the margin. docs/DETECTION.md has the
+//! figures.
 
 mod ascent;
 mod covering;
@@ -34,22 +35,23 @@ use squares::{Square, half_field};
 pub const FEWEST: usize = 4;
 /// The most views that a partition may have.
 pub const MOST: usize = 128;
-/// Numbers of views whose covering is stored.
+/// Numbers of views with a stored covering.
 pub const STORED: RangeInclusive<usize> = FEWEST..=32;
-/// The seed of what is stored.
+/// Seed of the stored partitions.
 pub const STORED_SEED: u64 = 1;
 
-/// Beyond this field a pinhole image stretches its rim more than eight times.
+/// Largest field of a view, degrees: beyond it a pinhole image stretches its rim more than eight
+/// times.
 const LARGEST_FIELD_RAD: f64 = 140.0 / 180.0 * PI;
-/// How far a view's half-field may be above the smallest that does: 0.0003 degrees.
+/// Tolerance of a view's half-field over the smallest possible one: 0.0003 degrees.
 const TOLERANCE_RAD: f64 = 5e-6;
 
-/// How directions are found.
+/// Method by which directions are found.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Method {
     /// The smallest circles that leave no gap.
     Covering,
-    /// The paper's: spread points, then circles round them that leave no gap.
+    /// The paper's method: spread points, then the smallest circles around them that leave no gap.
     Paper,
 }
 
@@ -63,7 +65,7 @@ pub struct Partition {
     facets: Vec<Triangle>,
 }
 
-/// The stored ones, measured once.
+/// The stored partitions, measured once.
 #[expect(clippy::expect_used, reason = "the file is part of the program; a test reads all of it")]
 static PARTITIONS: LazyLock<Vec<Partition>> = LazyLock::new(|| {
     let partitions = stored::coverings()
@@ -71,17 +73,18 @@ static PARTITIONS: LazyLock<Vec<Partition>> = LazyLock::new(|| {
     partitions.collect()
 });
 
-/// Why there is no partition, or none with such views.
+/// Reason why there is no partition, or none with such views.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 #[expect(missing_docs, reason = "the messages say what the fields are")]
 pub enum PartitionError {
-    /// Too few or too many.
+    /// Too few or too many views.
     #[error(
         "a partition has {FEWEST} to {MOST} views, not {count}: three flat images never see the \
          whole sphere, and with more than {MOST} a frame is never searched in time"
     )]
     Count { count: usize },
-    /// Directions that all lie in a plane, or coincide, or rolls that are not one for each.
+    /// Directions that all lie in a plane or coincide, or rolls whose number differs from that of
+    /// the directions.
     #[error("{directions} directions with {rolls} rolls do not go round the sphere")]
     Directions { directions: usize, rolls: usize },
     /// The margin has no width.
@@ -94,30 +97,30 @@ pub enum PartitionError {
         .margin_rad.to_degrees(), LARGEST_FIELD_RAD.to_degrees(), cure(.largest_margin_rad, .fewest)
     )]
     Field { count: usize, margin_rad: f64, largest_margin_rad: Option<f64>, fewest: Option<usize> },
-    /// A weight of the criterion that would not count, or count the wrong way.
+    /// A weight of the criterion that is not positive.
     #[error("each weight must be above 0, not {weights:?}: use 0.01 for what hardly counts")]
     NegligibleWeight { weights: [f64; 3] },
-    /// Weights of the criterion that are no shares of a whole.
+    /// Weights of the criterion whose sum is not 1.
     #[error(
         "weights must sum to 1, but {weights:?} sum to {:.4}: divided by that they are [{}]",
         .weights.iter().sum::<f64>(), shares(.weights)
     )]
     WeightSum { weights: [f64; 3] },
-    /// A resolution that gives no picture.
+    /// A resolution that is not usable.
     #[error("{pixels_per_radian} pixels for each radian give no view: 1 to 100000 are allowed")]
     Resolution { pixels_per_radian: f64 },
 }
 
-/// What weights are as shares of their sum, as text.
+/// The weights as shares of their sum, as text.
 fn shares(weights: &[f64; 3]) -> String {
     let sum: f64 = weights.iter().sum();
     weights.map(|weight| format!("{:.4}", weight / sum)).join(", ")
 }
 
-/// What would do instead of a margin that is too large: [`PartitionError::Field`].
+/// Advice for a margin that is too large: [`PartitionError::Field`].
 fn cure(largest_margin_rad: &Option<f64>, fewest: &Option<usize>) -> String {
     let margin = match largest_margin_rad {
-        // Rounded down, so that what is said does.
+        // Rounded down, so that the stated margin works.
         Some(margin) => {
             let degrees = (margin.to_degrees() * 10.0).floor() / 10.0;
             format!("the largest margin of so many is {degrees:.1} degrees")
@@ -141,19 +144,19 @@ impl Partition {
         Self::stored(12).expect("12 is stored")
     }
 
-    /// The stored covering by `count` circles, at no cost; `None` where there is none (see
-    /// [`STORED`]).
+    /// The stored covering by `count` circles, without computation; `None` where none is stored
+    /// (see [`STORED`]).
     pub fn stored(count: usize) -> Option<Self> {
         PARTITIONS.iter().find(|partition| partition.len() == count).cloned()
     }
 
-    /// Whether a partition costs nothing.
+    /// Whether a partition is stored, so that it needs no computation.
     pub fn is_stored(method: Method, count: usize, seed: u64) -> bool {
         method == Method::Covering && STORED.contains(&count) && seed == STORED_SEED
     }
 
-    /// The partition of a method, a number of views and a seed: from the store if it is there, else
-    /// found anew, which takes up to a few seconds. The same everywhere.
+    /// The partition of a method, a number of views and a seed: stored, or else computed in up to a
+    /// few seconds. The result is the same on every machine.
     ///
     /// # Errors
     /// A number of views that is too small or too large.
@@ -193,8 +196,8 @@ impl Partition {
         Ok(Self { directions, rolls_deg, facets })
     }
 
-    /// The middles of the circles, unit vectors in the camera frame; their order is the
-    /// partitions' numbering.
+    /// The middles of the circles, unit vectors in the camera frame. Their order is the numbering
+    /// of the partitions.
     pub fn directions(&self) -> &[Ray] {
         &self.directions
     }
@@ -204,29 +207,29 @@ impl Partition {
         &self.rolls_deg
     }
 
-    /// How many partitions there are: the paper's N.
+    /// Number of partitions: the paper's N.
     #[expect(clippy::len_without_is_empty, reason = "a partition of the sphere is never empty")]
     pub fn len(&self) -> usize {
         self.directions.len()
     }
 
-    /// The smallest diameter, radians, with which circles round the directions leave no gap: the
+    /// The smallest diameter with which circles around the directions leave no gap, radians: the
     /// paper's theta.
     pub fn covering_diameter_rad(&self) -> f64 {
         2.0 * covering_cosine(&self.facets).acos()
     }
 
-    /// What the paper's criterion weighs.
+    /// Terms of the paper's criterion.
     pub fn terms(&self) -> Terms {
         Terms::new(self.len(), self.covering_diameter_rad())
     }
 
-    /// Field, radians, of square views that hold whatever is `margin_rad` wide, wherever it is,
-    /// wholly in one of them.
+    /// Field of square views such that any object `margin_rad` wide lies wholly in one of them,
+    /// radians.
     ///
-    /// At most theta + `margin_rad`, the square round the circle; less, because squares are turned
-    /// so that their corners help each other out. Proved by branch and bound, and at most 0.001
-    /// degrees too large (0.02 where whole sides of squares meet).
+    /// At most theta + `margin_rad`, the square around the circle. It is less, because rotated
+    /// squares reach with their corners into the holes between circles. Branch and bound proves it.
+    /// It is at most 0.001 degrees too large (0.02 where whole sides of squares meet).
     ///
     /// # Errors
     /// A margin for which there is no pinhole image.
@@ -263,9 +266,9 @@ impl Partition {
 
     /// One square view for each partition, at the sphere's own resolution in its middle.
     ///
-    /// Their field is [`Self::field_rad`], so that whatever is at most `margin_rad` wide lies
-    /// wholly in some view, wherever it is. `pixels_per_radian` is the sphere image's, and becomes
-    /// the focal length in pixels.
+    /// Their field is [`Self::field_rad`], so that any object at most `margin_rad` wide lies wholly
+    /// in some view. `pixels_per_radian` belongs to the sphere image, and becomes the focal length
+    /// in pixels.
     ///
     /// # Errors
     /// A margin or resolution for which there is no pinhole image.
@@ -275,7 +278,7 @@ impl Partition {
         pixels_per_radian: f64,
     ) -> Result<Vec<View>, PartitionError> {
         let field_rad = self.field_rad(margin_rad)?;
-        // Written so that NaN is refused too.
+        // In this form NaN is refused too.
         if !(1.0..=1e5).contains(&pixels_per_radian) {
             return Err(PartitionError::Resolution { pixels_per_radian });
         }
@@ -305,7 +308,7 @@ impl Partition {
         nearest.0
     }
 
-    /// The field, radians, that the squares need; `None` beyond pinhole images.
+    /// Field that the squares need, radians; `None` beyond pinhole images.
     fn squares_field_rad(&self, margin_rad: f64) -> Option<f64> {
         let half_rad = margin_rad / 2.0;
         let circumscribed_rad = self.covering_diameter_rad() + margin_rad;
@@ -328,7 +331,7 @@ impl Partition {
     }
 }
 
-/// To 15 decimals, which any reader of JSON reads back to the last bit.
+/// Rounded to 15 decimals, which any JSON reader reads to the same last bit.
 fn rounded(value: f64) -> f64 {
     (value * 1e15).round() / 1e15 + 0.0
 }

@@ -4,13 +4,13 @@
 //! 1. each marker seen whole gives two hypotheses, the two mirror solutions of a square
 //!    (`ippe`: Collins and Bartoli, "Infinitesimal Plane-Based Pose Estimation", 2014), and, where
 //!    these leave rays unexplained, two more for each three of its corners;
-//! 2. all hypotheses are scored on all rays: what does not fit, or would face away, costs a fixed
+//! 2. all hypotheses are scored on all rays: a ray that does not fit, or faces away, costs a fixed
 //!    amount, so that misread markers and wrong corners are outvoted;
 //! 3. the best are refined on all rays by Levenberg-Marquardt over the angular error (`refine`);
-//! 4. what remains distinct is returned, cheapest first. Both mirror solutions are kept: [`choose`]
-//!    decides, with the track's prediction if there is one.
+//! 4. the distinct solutions are returned, cheapest first. Both mirror solutions are kept:
+//!    [`choose`] decides, with the track's prediction if there is one.
 //!
-//! Rays may point anywhere, also backwards: everything is done on the sphere.
+//! Rays may point anywhere, also backwards: all computations are on the sphere.
 
 mod candidates;
 mod choice;
@@ -30,11 +30,12 @@ use serde::{Deserialize, Serialize};
 
 /// Scale of the robust (Cauchy) cost, in standard deviations: errors well below it count fully.
 const ROBUST_SCALE: f64 = 3.0;
-/// A corner fits if its error is below so many standard deviations, stated or as the corners that
-/// fit scatter, whichever is more...
+/// Largest error of a corner that fits, in standard deviations. The larger of the stated deviation
+/// and the scatter of the fitting corners counts.
 const GATE_DEVIATIONS: f64 = 5.0;
-/// ...and, at first, if it is below this share of its marker's apparent side: detectors' corners
-/// are biased by more than they admit, while a misread or turned marker is off by about a side.
+/// Largest error of a corner that fits at first, as a share of its marker's apparent side. Corners
+/// from detectors have larger biases than stated, while a misread or rotated marker is off by about
+/// a side.
 const GATE_SIDE: f64 = 0.12;
 
 /// A pose with its covariance, measured or predicted.
@@ -63,9 +64,9 @@ pub fn pose_difference(found: &Isometry3<f64>, expected: &Isometry3<f64>) -> Vec
 pub struct PoseSolution {
     /// The pose of the body's markers in the camera frame.
     pub camera_from_markers: Isometry3<f64>,
-    /// Its covariance: position (m), then rotation vector (rad), both in the camera frame's axes,
-    /// from the normal matrix of the rays that fit. It believes the rays' stated deviations; see
-    /// [`PoseSolution::inflated_covariance`].
+    /// Covariance of position (m), then rotation vector (rad), both in the camera frame's axes,
+    /// from the normal matrix of the rays that fit. It relies on the stated deviations of the rays;
+    /// see [`PoseSolution::inflated_covariance`].
     pub covariance: Matrix6<f64>,
     /// Robust cost of all rays, in units of squared standard deviations; rays of markers that do
     /// not fit cost a fixed amount. Costs of solutions of the same rays can be compared.
@@ -73,15 +74,15 @@ pub struct PoseSolution {
     /// Sum of the inliers' squared errors over their degrees of freedom (two for each ray, less
     /// six): about 1 if the stated deviations are right.
     pub reduced_chi_square: f64,
-    /// Ids of the markers more than half of whose rays fit, rising.
+    /// Ids of the markers of which more than half of the rays fit, rising.
     pub inlier_markers: Vec<u32>,
     /// Rays of those markers that fit.
     pub inlier_corners: usize,
 }
 
 impl PoseSolution {
-    /// The covariance enlarged by [`PoseSolution::reduced_chi_square`] where that exceeds 1: where
-    /// the rays scatter more than they state.
+    /// Covariance times [`PoseSolution::reduced_chi_square`] where that exceeds 1, because the rays
+    /// scatter more than stated.
     pub fn inflated_covariance(&self) -> Matrix6<f64> {
         self.covariance * self.reduced_chi_square.max(1.0)
     }
@@ -99,7 +100,7 @@ pub fn rotation_deviation_rad(covariance: &Matrix6<f64>) -> f64 {
     covariance.fixed_view::<3, 3>(3, 3).trace().sqrt()
 }
 
-/// A pose that is wrong by more than this, metres, is a false one.
+/// Position error beyond which a pose is false, metres.
 pub const FALSE_POSITION_M: f64 = 0.1;
 /// Rotation error beyond which a pose is false, radians: 10 degrees.
 pub const FALSE_ROTATION_RAD: f64 = 10.0 * std::f64::consts::PI / 180.0;
@@ -110,7 +111,7 @@ pub fn is_false(pose: &Isometry3<f64>, truth: &Isometry3<f64>) -> bool {
         || pose.rotation.angle_to(&truth.rotation) > FALSE_ROTATION_RAD
 }
 
-/// Why there is no pose.
+/// Reason why there is no pose.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[expect(missing_docs, reason = "the messages say what the fields are")]
 pub enum PoseError {

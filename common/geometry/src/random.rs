@@ -8,6 +8,7 @@ pub struct Chance(u64);
 
 impl Chance {
     /// Starts from a seed.
+    #[cfg(any(test, feature = "fixtures"))]
     pub fn new(seed: u64) -> Self {
         Self(seed)
     }
@@ -37,8 +38,8 @@ impl Chance {
         (self.bits() % count as u64) as usize
     }
 
-    /// Uniform on the sphere: a point of the ball by rejection, so without transcendental
-    /// functions, whose last bit differs between machines.
+    /// Returns a uniform point on the sphere, from a point of the ball by rejection. Transcendental
+    /// functions would differ in their last bit between machines.
     pub(crate) fn portable_direction(&mut self) -> Vector3<f64> {
         loop {
             let mut signed = || 2.0 * self.unit() - 1.0;

@@ -1,11 +1,11 @@
-//! Search plans: where to look in the next frame, in which order, and when to stop.
+//! Search plans: the views of the next frame, their order, and when to stop.
 //!
 //! The orders are plain functions ([`greedy`], [`optimized`], [`least_recently_searched`],
-//! [`roi_view`]); a [`Planner`] makes a [`Plan`] of them, from what [`Searched`] remembers.
+//! [`roi_view`]); a [`Planner`] makes a [`Plan`] from them and from the record in [`Searched`].
 //!
 //! The sphere is covered by *tiles*, the partition's views, and beside them by *high-resolution
 //! tiles* for neighbours at long range. A tracked neighbour has a *region of interest*, a small
-//! view at where it is predicted.
+//! view at its predicted place.
 
 mod roi;
 mod searched;
@@ -21,10 +21,10 @@ use crate::mask::Mask;
 use crate::partition::Partition;
 use crate::view::View;
 
-/// Neighbours' views that come before the first partition: see [`Planner::plan`].
+/// Number of neighbours' views before the first partition: see [`Planner::plan`].
 const VIEWS_BEFORE_PARTITION: usize = 4;
 
-/// How a frame is searched.
+/// Search mode: the order and selection of a frame's views.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum SearchMode {
     /// The paper's baseline: partitions in a fixed order until the first hit.
@@ -33,36 +33,36 @@ pub enum SearchMode {
     Optimized,
     /// Every partition of every frame.
     Exhaustive,
-    /// Magnified views at the predicted neighbours first, then partitions, least recently
-    /// searched first.
+    /// Magnified views at the predicted neighbours first, then the partitions that were searched
+    /// longest ago.
     Roi,
 }
 
-/// When no further view of a plan is cut.
+/// Condition that ends the cutting of a plan's views.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum StopRule {
     /// After the first view that holds a marker of a configured body.
     FirstHit,
     /// After the last view.
     All,
-    /// When a newer frame is there or due; in a lossless run after [`Plan::view_budget`] views.
+    /// When a newer frame is there or due; in a lossless run, after [`Plan::view_budget`] views.
     Deadline,
 }
 
-/// Why a view is planned.
+/// Purpose of a planned view.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Purpose {
     /// To search this tile, by the index of its partition.
     Partition(usize),
-    /// To search this high-resolution tile; they have indices of their own, from 0.
+    /// To search this high-resolution tile, by its own index from 0.
     HighResolution(usize),
     /// To follow this target, by the index of its body.
     Roi(usize),
-    /// To look at a place that looks like a body. Whoever has the picture chooses the place.
+    /// To look at a place that looks like a body. The stage that has the picture chooses the place.
     Proposal,
 }
 
-/// How a view is searched for markers.
+/// Detector setting for a view.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Search {
     /// With every threshold window of the detector.
@@ -71,36 +71,36 @@ pub enum Search {
     FineWindow,
     /// With its coarsest window alone.
     CoarseWindow,
-    /// Searches for nothing: only the pixels are wanted.
+    /// No search: only the pixels are needed.
     Nothing,
 }
 
-/// Half the field of a proposal's view, radii of the body that it may be: its middle may be off the
-/// place.
+/// Half the field of a proposal's view, in radii of the possible body. The body's middle may be off
+/// the place.
 pub const PROPOSAL_FIELD_RADII: f64 = 1.7;
 
 /// One view of a plan.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SearchView {
-    /// What to cut.
+    /// The view to cut.
     pub view: View,
-    /// Why.
+    /// Its purpose.
     pub purpose: Purpose,
-    /// How it is searched for markers.
+    /// Detector setting for the view.
     pub search: Search,
-    /// How the view turns with what it follows: rotation vector a second, in the camera frame,
+    /// Rotation of the view with its target: rotation vector a second, in the camera frame,
     /// radians/s. Zero for tiles.
     pub rate_in_camera: Vector3<f64>,
 }
 
-/// Where to look in a frame.
+/// Plan for one frame.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Plan {
     /// The views, in the order in which they are to be cut.
     pub views: Vec<SearchView>,
-    /// When to stop.
+    /// Condition that ends the cutting.
     pub stop_rule: StopRule,
-    /// How many of them a lossless run cuts, where time must not decide.
+    /// Number of views that a lossless run cuts, because there time must not decide.
     pub view_budget: usize,
 }
 
@@ -111,14 +111,14 @@ pub fn greedy(partition: &Partition) -> Vec<usize> {
 
 /// The paper's Algorithm 1, "Optimized Sphere Partition Search", for one frame.
 ///
-/// `n` is the partition of the last detection: one for the whole swarm. As long as there was none,
-/// all partitions are parsed in their fixed order. Then `all_parts[n]` is searched first, and if
-/// nothing is found the others, sorted by their distance from it (`sort_by_dist`), the lower number
+/// `n` is the partition of the last detection: one for the whole swarm. Before the first detection,
+/// all partitions are searched in their fixed order. Then `all_parts[n]` is searched first. If
+/// nothing is found, the others follow by their distance from it (`sort_by_dist`), the lower number
 /// first in a tie.
 ///
-/// The listing goes on after a hit, the text does not: "the algorithm is content with finding the
-/// first set of markers it finds". So the order goes with [`StopRule::FirstHit`], and the partition
-/// of that hit is the next frame's `n` ([`Searched::hit`]).
+/// The paper's listing continues after a hit, its text does not: "the algorithm is content with
+/// finding the first set of markers it finds". So the order goes with [`StopRule::FirstHit`], and
+/// the partition of that hit is the next frame's `n` ([`Searched::hit`]).
 pub fn optimized(partition: &Partition, n: Option<usize>) -> Vec<usize> {
     let all_parts = greedy(partition);
     let Some(n) = n.filter(|&n| n < partition.len()) else {
@@ -126,8 +126,8 @@ pub fn optimized(partition: &Partition, n: Option<usize>) -> Vec<usize> {
     };
     let mut sorted_parts = all_parts;
     let middle = partition.directions()[n];
-    // The one at distance zero, n itself, comes first. The sort is stable: ties stay by number.
-    // Rounded, so that rounding errors do not break the ties of a regular solid.
+    // Partition n itself, at distance zero, comes first. The sort is stable: ties stay by number.
+    // Distances are rounded, so that rounding errors do not break the ties of a regular solid.
     sorted_parts
         .sort_by_key(|&part| (partition.directions()[part].angle(&middle) * 1e9).round() as i64);
     sorted_parts
@@ -140,22 +140,22 @@ pub struct Planner {
     partition: Partition,
     /// The view of each partition; `None` where the camera sees nothing of it.
     tiles: Vec<Option<View>>,
-    /// The same of the high-resolution tiles.
+    /// The view of each high-resolution tile, likewise.
     high_resolution: Vec<Option<View>>,
     mask: Option<Mask>,
     roi: RoiOptions,
     alternates_windows: bool,
     targets: usize,
-    /// Views of places that look like bodies, in a frame while a target is not tracked.
+    /// Number of views of places that look like bodies, in a frame while a target is not tracked.
     proposals: usize,
 }
 
-/// After this many frames without a tile one is searched however little time there is, so that
-/// untracked targets are found.
+/// Number of frames without a tile after which one is searched in any case, so that untracked
+/// targets are found.
 pub const MAX_FRAMES_WITHOUT_TILE: u64 = 4;
 
-/// A view in a plan for which no place is known yet. It is cut like this where none is found, at no
-/// cost worth counting.
+/// Placeholder of a view in a plan whose place is not known yet. Where no place is found, it is cut
+/// like this, at a negligible cost.
 const UNPLACED: View = View {
     camera_from_view: UnitQuaternion::new_unchecked(Quaternion::new(1.0, 0.0, 0.0, 0.0)),
     focal_px: 16.0,
@@ -170,16 +170,16 @@ const PROPOSAL: SearchView = SearchView {
     rate_in_camera: Vector3::new(0.0, 0.0, 0.0),
 };
 
-/// Indices of the tiles of which the camera sees something.
+/// Indices of the tiles of which the camera sees at least a part.
 fn visible(tiles: &[Option<View>]) -> impl Iterator<Item = usize> {
     tiles.iter().enumerate().filter(|(_, view)| view.is_some()).map(|(index, _)| index)
 }
 
-/// Why a planner could not be made.
+/// Reason why a planner could not be made.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 #[expect(missing_docs, reason = "the messages say what the fields are")]
 pub enum PlannerError {
-    /// The views are not those of the partition.
+    /// The number of views differs from the number of partitions.
     #[error("{views} views for {partitions} partitions: there must be one for each")]
     Views { views: usize, partitions: usize },
     /// An option of the mode roi is out of its range.
@@ -242,8 +242,9 @@ impl Planner {
         Self { alternates_windows, ..self }
     }
 
-    /// In the mode [`SearchMode::Roi`], asks for `views` proposals in each frame while one of
-    /// `targets` targets is not tracked; in the mode [`SearchMode::Exhaustive`] in each frame.
+    /// Requests `views` proposals in each frame while one of `targets` targets is not tracked, in
+    /// the mode [`SearchMode::Roi`]. In the mode [`SearchMode::Exhaustive`] it requests them in
+    /// each frame.
     pub fn with_proposals(self, targets: usize, views: usize) -> Self {
         Self { targets, proposals: views, ..self }
     }
@@ -253,7 +254,7 @@ impl Planner {
         Searched::new(self.tiles.len(), self.high_resolution.len())
     }
 
-    /// How many partitions are never searched, because the camera sees nothing of them.
+    /// Number of partitions that are never searched, because the camera sees nothing of them.
     pub fn hidden_partitions(&self) -> usize {
         self.tiles.len() - visible(&self.tiles).count()
     }
@@ -291,12 +292,12 @@ impl Planner {
     /// both resolutions in turn, least recently searched first.
     ///
     /// After [`MAX_FRAMES_WITHOUT_TILE`] frames without a tile, the first tile comes before the
-    /// proposals: what is never proposed must be found too.
+    /// proposals. A target that is never proposed must be found too.
     ///
-    /// Where there are more than `VIEWS_BEFORE_PARTITION` neighbours, the first tile
-    /// comes right after that many of their views. So a frame with time for one view more searches
-    /// at least one tile, and all N tiles are searched within N such frames, however many
-    /// neighbours there are. A neighbour left out comes first in the next frame.
+    /// Where there are more than `VIEWS_BEFORE_PARTITION` neighbours, the first tile comes right
+    /// after that many of their views. So a frame with time for one view more searches at least one
+    /// tile. All N tiles are searched within N such frames, for any number of neighbours. A
+    /// neighbour left out comes first in the next frame.
     fn roi_plan(&self, searched: &Searched, neighbours: &[PredictedNeighbour]) -> Plan {
         let mut regions: Vec<SearchView> = neighbours
             .iter()
@@ -330,7 +331,7 @@ impl Planner {
         Plan { views, stop_rule: StopRule::Deadline, view_budget }
     }
 
-    /// The tiles in this order, without those of which the camera sees nothing.
+    /// The tiles in this order, without those that the camera does not see.
     fn tile_views(&self, searched: &Searched, order: &[Purpose]) -> Vec<SearchView> {
         let tile = |purpose: &Purpose| {
             let view = match *purpose {

@@ -4,21 +4,21 @@ use std::collections::VecDeque;
 
 use nalgebra::{Isometry3, UnitQuaternion};
 
-/// How long samples are kept, nanoseconds.
+/// Time for which samples are kept, nanoseconds.
 const KEPT_NS: i64 = 2_000_000_000;
-/// Maximum samples: 500 a second.
+/// Most samples: 500 a second.
 const MAX_SAMPLES: usize = 1000;
-/// Between samples that are further apart no value is known, nanoseconds.
+/// Longest gap between samples over which values are interpolated, nanoseconds.
 const LONGEST_GAP_NS: i64 = 500_000_000;
 
 /// A value that can be interpolated.
 pub trait Interpolate: Sized {
-    /// The value at `share` (0 to 1) of the way to `later`; none where the two do not belong
-    /// together.
+    /// Value at `share` (0 to 1) of the way to `later`; `None` where the two cannot be
+    /// interpolated.
     fn between(&self, later: &Self, share: f64) -> Option<Self>;
 }
 
-/// The shorter way round; none between opposite attitudes, where there is no shorter way.
+/// Takes the shorter way round; `None` between opposite attitudes, which have no shorter way.
 impl Interpolate for UnitQuaternion<f64> {
     fn between(&self, later: &Self, share: f64) -> Option<Self> {
         self.try_slerp(later, share, 1e-9)
@@ -46,8 +46,7 @@ impl<T> Default for Timeline<T> {
 }
 
 impl<T: Interpolate> Timeline<T> {
-    /// Adds a sample of this time, CLOCK_MONOTONIC. One that is not newer than the last is left
-    /// out.
+    /// Adds a sample with this time, CLOCK_MONOTONIC. A sample not newer than the last is left out.
     pub fn push(&mut self, at_ns: i64, sample: T) {
         if self.samples.back().is_some_and(|(last_ns, _)| at_ns <= *last_ns) {
             return;
@@ -69,7 +68,7 @@ impl<T: Interpolate> Timeline<T> {
         self.samples.clear();
     }
 
-    /// The value at this time, CLOCK_MONOTONIC; none outside the samples and in a long gap.
+    /// Value at this time, CLOCK_MONOTONIC; `None` outside the samples and in a long gap.
     pub fn at(&self, at_ns: i64) -> Option<T> {
         let later = self.samples.partition_point(|(time_ns, _)| *time_ns < at_ns);
         let (later_ns, later_sample) = self.samples.get(later)?;

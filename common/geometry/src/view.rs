@@ -37,7 +37,7 @@ impl View {
         }
     }
 
-    /// Where the middle of the view looks, in the camera frame.
+    /// Direction of the view's middle, in the camera frame.
     pub fn direction_in_camera(&self) -> Ray {
         self.camera_from_view * Vector3::z_axis()
     }
@@ -52,14 +52,14 @@ impl View {
         (f64::from(self.size_px) - 1.0) / 2.0
     }
 
-    /// The ray, in the camera frame, that `pixel` sees.
+    /// Ray of `pixel`, in the camera frame.
     pub fn ray(&self, pixel: ViewPixel) -> Ray {
         let (x, y) = (pixel.0.x - self.centre_px(), pixel.0.y - self.centre_px());
         self.camera_from_view * Unit::new_normalize(Vector3::new(x, y, self.focal_px))
     }
 
-    /// The point that sees `ray_in_camera`: `None` for rays behind the view; the point may lie
-    /// outside the image.
+    /// Point that shows `ray_in_camera`; `None` for rays behind the view. The point may lie outside
+    /// the image.
     pub fn project(&self, ray_in_camera: &Ray) -> Option<ViewPixel> {
         let ray = self.camera_from_view.inverse() * ray_in_camera.into_inner();
         (ray.z > 1e-9).then(|| {
@@ -68,7 +68,7 @@ impl View {
         })
     }
 
-    /// Whether the image holds `ray_in_camera` at least `margin_px` inside its border.
+    /// Whether the image contains `ray_in_camera` at least `margin_px` inside its border.
     pub fn holds(&self, ray_in_camera: &Ray, margin_px: f64) -> bool {
         let last = f64::from(self.size_px) - 1.0 - margin_px;
         self.project(ray_in_camera).is_some_and(|ViewPixel(p)| {

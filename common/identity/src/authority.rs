@@ -1,4 +1,4 @@
-//! The swarm's authority: it makes the members' keys and certificates.
+//! The swarm's authority, which issues the members' keys and certificates.
 
 use std::fs::File;
 use std::path::{Path, PathBuf};
@@ -18,9 +18,9 @@ use crate::member::{MemberFiles, certificate};
 use crate::roster::Roster;
 use crate::seal::new_challenge;
 
-/// A certificate holds from this long before it was issued, so that a drone's clock may be slow.
+/// Time before its issue from which a certificate is valid, so that a drone's clock may be slow.
 const BEFORE: Duration = Duration::hours(1);
-/// How long the authority's own certificate holds.
+/// Validity of the authority's own certificate.
 const AUTHORITY_HOLDS: Duration = Duration::days(3_650);
 
 /// The authority's folder.
@@ -32,31 +32,31 @@ pub struct Authority {
     _lock: File,
 }
 
-/// What somebody is in the swarm.
+/// The role of a certificate's owner in the swarm.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Role {
     /// A drone, or an onlooker.
     Member,
-    /// A router: it passes on reports of others.
+    /// A router, which passes on the reports of others.
     Router,
 }
 
-/// A certificate that was issued.
+/// An issued certificate.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Issued {
-    /// To whom.
+    /// The name of its owner.
     pub name: String,
     /// Its serial number, hexadecimal.
     pub serial: String,
-    /// The last second at which it holds, since 1970-01-01 UTC.
+    /// Its last valid second, since 1970-01-01 UTC.
     pub not_after_s: i64,
 }
 
 impl Authority {
-    /// Makes the authority of a new swarm in a folder.
+    /// Creates the authority of a new swarm in a folder.
     ///
     /// # Errors
-    /// The name cannot be one, there is an authority already, or the folder cannot be written.
+    /// The name is invalid, an authority exists already, or the folder cannot be written.
     pub fn create(folder: &Path, swarm: &str) -> Result<Self, IdentityError> {
         check_name(swarm)?;
         files::make_folder(folder)?;
@@ -81,15 +81,15 @@ impl Authority {
         let certificate = params.self_signed(&key).map_err(failed("the certificate"))?;
         files::write(&authority.ca_path(), &certificate.pem())?;
         authority.roster.write(&authority.roster_path(), &key)?;
-        // Last: the folder holds an authority once its key is there.
+        // The key is written last: only with it the folder counts as an authority.
         files::write_private(&authority.key_path(), &key.serialize_pem())?;
         Ok(authority)
     }
 
-    /// The authority in a folder.
+    /// Opens the authority in a folder.
     ///
     /// # Errors
-    /// There is none, its files are wrong, or others can read its key.
+    /// There is none, its files are invalid, or others can read its key.
     pub fn open(folder: &Path) -> Result<Self, IdentityError> {
         let lock = files::lock_folder(folder)?;
         let ca = certificate(&folder.join("ca.pem"))?;
@@ -104,7 +104,7 @@ impl Authority {
         &self.roster
     }
 
-    /// All certificates that were issued.
+    /// All issued certificates.
     ///
     /// # Errors
     /// The list cannot be read.
@@ -121,12 +121,12 @@ impl Authority {
         })
     }
 
-    /// Makes a key and a certificate that holds for `holds`, writes them to the folder `into`, with
-    /// all that a member needs, and enters the name in the roster.
+    /// Creates a key and a certificate that is valid for `holds`. Writes them to the folder `into`,
+    /// with all files that a member needs, and enters the name in the roster.
     ///
     /// # Errors
-    /// The name cannot be one, is taken by another role, or has a revoked certificate that still
-    /// holds at `now_s`, seconds since 1970-01-01 UTC; or a file cannot be written.
+    /// The name is invalid, or is used in another role. Or it has a revoked certificate that is
+    /// still valid at `now_s`, seconds since 1970-01-01 UTC. Or a file cannot be written.
     pub fn issue(
         &mut self,
         name: &str,
@@ -159,7 +159,7 @@ impl Authority {
         params.extended_key_usages =
             vec![ExtendedKeyUsagePurpose::ClientAuth, ExtendedKeyUsagePurpose::ServerAuth];
         let mut serial = new_challenge().ok_or_else(no_random)?;
-        // Positive, and not shortened: its hexadecimal form has one length.
+        // These bits make the number positive and its hexadecimal form constant in length.
         serial[0] = serial[0] & 0x7f | 0x40;
         params.serial_number = Some(SerialNumber::from_slice(&serial));
         let key = new_key()?;
@@ -169,7 +169,7 @@ impl Authority {
             serial: hex(&serial),
             not_after_s: params.not_after.unix_timestamp(),
         };
-        // Noted before anybody can have it, so that it can be revoked.
+        // The note comes before the certificate's file, so that every certificate can be revoked.
         self.note(&issued)?;
         if is_new {
             self.change(&authority_key)?;
@@ -188,11 +188,11 @@ impl Authority {
         Ok((issued, files))
     }
 
-    /// Takes a name off the roster, and revokes all its certificates that have not expired at
-    /// `now_s`, seconds since 1970-01-01 UTC. How many these are.
+    /// Removes a name from the roster, and revokes all its certificates that are still valid.
+    /// `now_s`: seconds since 1970-01-01 UTC. Returns their number.
     ///
     /// # Errors
-    /// Nobody has this name, or a file cannot be written.
+    /// The name is unknown, or a file cannot be written.
     pub fn revoke(&mut self, name: &str, now_s: i64) -> Result<usize, IdentityError> {
         let issued = self.issued()?;
         if !issued.iter().any(|issued| issued.name == name) {
@@ -217,8 +217,8 @@ impl Authority {
         Ok(count)
     }
 
-    /// Refuses a name of which somebody may have a revoked certificate: links are judged by names,
-    /// so it would count again.
+    /// Refuses a name with a revoked certificate that is still valid. Links are judged by names, so
+    /// this certificate would be accepted again.
     fn check_not_burnt(&self, name: &str, now_s: i64) -> Result<(), IdentityError> {
         let burnt = self.issued()?.into_iter().filter(|issued| {
             issued.name == name
@@ -289,7 +289,7 @@ fn new_key() -> Result<KeyPair, IdentityError> {
     KeyPair::generate_for(&PKCS_ED25519).map_err(failed("a key"))
 }
 
-/// A certificate's contents: its name, and from when to when it holds.
+/// The contents of a certificate: its name and its time of validity.
 fn params(name: &str, holds: Duration) -> Result<CertificateParams, IdentityError> {
     let mut params = CertificateParams::new(Vec::new()).map_err(failed("the certificate"))?;
     params.distinguished_name = rcgen::DistinguishedName::new();

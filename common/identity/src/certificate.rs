@@ -1,4 +1,4 @@
-//! A member's certificate, as far as it matters here.
+//! A member's certificate, with the parts that this crate uses.
 
 use ring::digest::{SHA256, digest};
 use ring::signature::{ED25519, UnparsedPublicKey};
@@ -7,47 +7,46 @@ use std::time::Duration;
 use webpki::{EndEntityCert, KeyUsage, anchor_from_trusted_cert};
 use x509_parser::prelude::{FromDer, X509Certificate};
 
-/// A larger certificate is none of ours.
+/// Maximum size of a certificate, bytes; the authority issues only smaller ones.
 const MOST_BYTES: usize = 2_048;
 /// Bytes of an Ed25519 public key (RFC 8032).
 const KEY_BYTES: usize = 32;
 
-/// A certificate of a member or of the authority. Nothing is said of who signed it until
+/// A certificate of a member or of the authority. Its signature is unverified until
 /// [`check`](Self::check).
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Certificate {
-    /// As DER.
+    /// The certificate as DER.
     pub der: Vec<u8>,
-    /// Whose it is: the subject's common name.
+    /// Name of its owner: the subject's common name.
     pub name: String,
     /// Its serial number, hexadecimal.
     pub serial: String,
-    /// First second at which it holds, since 1970-01-01 UTC.
+    /// First valid second, since 1970-01-01 UTC.
     pub not_before_s: i64,
-    /// Last second at which it holds.
+    /// Last valid second, since 1970-01-01 UTC.
     pub not_after_s: i64,
     public_key: [u8; KEY_BYTES],
 }
 
-/// Why a certificate is not accepted.
+/// The reason why a certificate is not accepted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[expect(missing_docs, reason = "the texts describe the variants")]
 pub enum CertificateFault {
-    /// The bytes are no certificate of this kind.
     #[error("it is no certificate with a name and an Ed25519 key")]
     Malformed,
-    /// Somebody else signed it, or it is for something else.
+    /// Another authority signed it, or it has another purpose.
     #[error("another authority has signed it")]
     AnotherAuthority,
-    /// Its time is over.
     #[error("it has expired. Cure: flockeye keys issue")]
     Expired,
-    /// Its time has not begun: one of the clocks is wrong.
+    /// Its validity has not begun: one of the clocks is wrong.
     #[error("it does not hold yet: this machine's clock or the authority's is wrong")]
     NotYet,
 }
 
 impl Certificate {
-    /// Reads it.
+    /// Reads a certificate as DER.
     ///
     /// # Errors
     /// [`CertificateFault::Malformed`].
@@ -75,20 +74,21 @@ impl Certificate {
         })
     }
 
-    /// Whether `authority` has signed it and it holds at `now_s`, seconds since 1970-01-01 UTC.
+    /// Checks that `authority` has signed it and that it is valid at `now_s`, seconds since
+    /// 1970-01-01 UTC.
     ///
     /// # Errors
-    /// Why not.
+    /// The reason why it is not accepted.
     pub fn check(&self, authority: &Self, now_s: i64) -> Result<(), CertificateFault> {
         let checked = self.check_chain(authority, self.not_before_s);
         checked.ok_or(CertificateFault::AnotherAuthority)?;
         self.check_time(now_s)
     }
 
-    /// Checks that the certificate holds at `now_s`, seconds since 1970-01-01 UTC.
+    /// Checks that the certificate is valid at `now_s`, seconds since 1970-01-01 UTC.
     ///
     /// # Errors
-    /// Why not.
+    /// The reason why it is not accepted.
     pub fn check_time(&self, now_s: i64) -> Result<(), CertificateFault> {
         if now_s < self.not_before_s {
             return Err(CertificateFault::NotYet);
@@ -99,7 +99,8 @@ impl Certificate {
         Ok(())
     }
 
-    /// The time is checked by itself, so that its words are ours.
+    /// Checks the signature at a given time. The validity is checked separately, for clearer
+    /// errors.
     fn check_chain(&self, authority: &Self, at_s: i64) -> Option<()> {
         let (der, root) = (CertificateDer::from(&*self.der), CertificateDer::from(&*authority.der));
         let anchor = anchor_from_trusted_cert(&root).ok()?;
@@ -119,7 +120,7 @@ impl Certificate {
         self.public_key == public_key
     }
 
-    /// The first eight bytes of its SHA-256: which of the known ones it is. It proves nothing.
+    /// The first eight bytes of its SHA-256. They identify a known certificate, and prove nothing.
     pub(crate) fn fingerprint(&self) -> [u8; 8] {
         let digest = digest(&SHA256, &self.der);
         std::array::from_fn(|k| digest.as_ref()[k])

@@ -7,7 +7,7 @@ use std::path::Path;
 
 use crate::error::IdentityError;
 
-/// A longer file is none of ours.
+/// Maximum length of a file, bytes; valid ones are shorter.
 const MOST_BYTES: u64 = 1 << 20;
 
 fn failed(path: &Path, what: &'static str) -> impl FnOnce(std::io::Error) -> IdentityError {
@@ -18,10 +18,10 @@ pub(crate) fn read(path: &Path) -> Result<String, IdentityError> {
     read_from(path, &File::open(path).map_err(failed(path, "open"))?)
 }
 
-/// The text of a private key, which nobody else may read.
+/// Reads a private key, which others must not be able to read.
 pub(crate) fn read_private(path: &Path) -> Result<String, IdentityError> {
     let file = File::open(path).map_err(failed(path, "open"))?;
-    // The opened file is asked, so that no other can be put in its place meanwhile.
+    // The mode is that of the opened file, so that no other file can replace it meanwhile.
     let mode = file.metadata().map_err(failed(path, "open"))?.mode() & 0o777;
     if mode & 0o077 != 0 {
         return Err(IdentityError::Exposed { path: path.into(), mode });
@@ -39,13 +39,13 @@ fn read_from(path: &Path, file: &File) -> Result<String, IdentityError> {
     Ok(text)
 }
 
-/// All lines of a file that grows.
+/// Reads all lines of a file that grows.
 pub(crate) fn read_lines(path: &Path) -> Result<Vec<String>, IdentityError> {
     let file = File::open(path).map_err(failed(path, "open"))?;
     BufReader::new(file).lines().collect::<Result<_, _>>().map_err(failed(path, "read"))
 }
 
-/// Adds a line to such a file, for good.
+/// Appends a line to such a file, and waits until it is on disk.
 pub(crate) fn append(path: &Path, line: &str) -> Result<(), IdentityError> {
     let file = OpenOptions::new().append(true).create(true).open(path);
     let mut file = file.map_err(failed(path, "open"))?;
@@ -53,14 +53,14 @@ pub(crate) fn append(path: &Path, line: &str) -> Result<(), IdentityError> {
     file.sync_all().map_err(failed(path, "write"))
 }
 
-/// Keeps a folder from all others who ask so, until the file is dropped.
+/// Locks a folder against other programs that use this lock, until the file is dropped.
 pub(crate) fn lock_folder(path: &Path) -> Result<File, IdentityError> {
     let folder = File::open(path).map_err(failed(path, "open"))?;
     folder.lock().map_err(failed(path, "lock"))?;
     Ok(folder)
 }
 
-/// Writes a file that everybody may read.
+/// Writes a file that every user can read.
 pub(crate) fn write(path: &Path, text: &str) -> Result<(), IdentityError> {
     write_as(path, text, 0o644)
 }
@@ -69,10 +69,10 @@ pub(crate) fn write_private(path: &Path, text: &str) -> Result<(), IdentityError
     write_as(path, text, 0o600)
 }
 
-/// The file is there whole or not at all, also when the machine loses power.
+/// Writes a file completely or not at all, even if the machine loses power.
 fn write_as(path: &Path, text: &str, mode: u32) -> Result<(), IdentityError> {
     let new = path.with_extension("new");
-    // A file of a run that was cut off would keep its mode.
+    // A file of an interrupted run would keep its mode.
     drop(fs::remove_file(&new));
     let mut file = OpenOptions::new()
         .write(true)

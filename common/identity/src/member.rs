@@ -1,4 +1,4 @@
-//! What a member of the swarm holds.
+//! A member's certificate, key and roster.
 
 use std::path::{Path, PathBuf};
 
@@ -12,7 +12,7 @@ use crate::files;
 use crate::roster::Roster;
 use crate::seal::{Seal, Statement};
 
-/// Where a member's files are; `flockeye keys issue` writes them.
+/// Paths of a member's files; `flockeye keys issue` writes them.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct MemberFiles {
     /// The certificate of the swarm's authority, PEM.
@@ -25,7 +25,7 @@ pub struct MemberFiles {
     pub roster: PathBuf,
 }
 
-/// A member of the swarm: whoever has this can speak in its name.
+/// A member of the swarm, with the key that signs in its name.
 #[derive(Debug)]
 pub struct Member {
     /// The authority's certificate.
@@ -38,12 +38,12 @@ pub struct Member {
 }
 
 impl Member {
-    /// Reads the files, and checks that they belong together and hold at `now_s`, seconds since
-    /// 1970-01-01 UTC.
+    /// Reads the files, and checks that they belong together and are valid at `now_s`, seconds
+    /// since 1970-01-01 UTC.
     ///
     /// # Errors
-    /// Which file is missing or wrong, is not signed by the authority, has expired or is revoked,
-    /// or can be read by others.
+    /// A file is missing or invalid, or can be read by others. Or it is not signed by the
+    /// authority, has expired or is revoked.
     pub fn load(files: &MemberFiles, now_s: i64) -> Result<Self, IdentityError> {
         let authority = certificate(&files.ca)?;
         let certificate = certificate(&files.certificate)?;
@@ -75,7 +75,7 @@ impl Member {
         Ok(Self { authority, certificate, roster, key })
     }
 
-    /// The attachment of what is said; with the certificate, for those who do not have it yet.
+    /// The attachment that signs a statement; with the certificate, for receivers that lack it.
     pub fn seal(&self, said: &Statement<'_>, with_certificate: bool) -> Vec<u8> {
         let signature = self.key.sign(&said.message());
         Seal {

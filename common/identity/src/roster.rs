@@ -9,21 +9,21 @@ use crate::certificate::{Certificate, hex, unhex};
 use crate::error::IdentityError;
 use crate::files;
 
-/// What its signature begins with, so that it is a signature of nothing else.
+/// Start of the signed bytes, so that the signature is valid for no other purpose.
 const CONTEXT: &[u8] = b"flockeye roster 1\0";
 
-/// The members of the swarm, and the certificates that no longer count. The file holds them with
-/// the authority's signature.
+/// The members of the swarm, and the revoked certificates. The file contains them with the
+/// authority's signature.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Roster {
     /// The swarm's name.
     pub swarm: String,
-    /// Rises with each change.
+    /// Increases with each change.
     pub number: u64,
     /// Drones and onlookers, by name.
     pub members: Vec<String>,
-    /// Routers, which pass on what others say, by name.
+    /// Routers, which pass on the messages of others, by name.
     pub routers: Vec<String>,
     /// Serial numbers of certificates that are revoked and have not expired, hexadecimal.
     pub revoked: Vec<String>,
@@ -38,7 +38,7 @@ struct Signed {
 }
 
 impl Roster {
-    /// Whether somebody of this name belongs to the swarm.
+    /// Whether this name belongs to the swarm.
     pub fn has(&self, name: &str) -> bool {
         self.members.iter().chain(&self.routers).any(|known| known == name)
     }

@@ -4,43 +4,41 @@
 //! | --- | --- |
 //! | 1 | 1: the form |
 //! | 64 | Ed25519 signature of the [`Statement`] |
-//! | 8 | which certificate: the first bytes of its SHA-256 |
-//! | the rest | the certificate itself, as DER; once a second, and in answers; else nothing |
+//! | 8 | fingerprint of the certificate: the first bytes of its SHA-256 |
+//! | the rest | the certificate itself as DER, once a second and in answers; otherwise empty |
 
 use ring::rand::{SecureRandom, SystemRandom};
 
-/// Random bytes that whoever asks for the last values sends along, and that the answer's signature
-/// covers: so no old answer is one to this question. All zero in what is published without a
-/// question.
+/// Random bytes of a query for the last values. The answer's signature covers them, so no old
+/// answer fits a new query. They are zero in published reports.
 pub type Challenge = [u8; 16];
 
-/// What the signature begins with, so that it is a signature of nothing else.
+/// Start of the signed bytes, so that the signature is valid for no other purpose.
 const CONTEXT: &[u8] = b"flockeye report 1\0";
 const FORM: u8 = 1;
 const SIGNATURE_BYTES: usize = 64;
 const FINGERPRINT_BYTES: usize = 8;
 
-/// What is signed.
+/// The content of a signature.
 #[derive(Debug, Clone, Copy)]
 pub struct Statement<'s> {
-    /// The key under which it is said.
+    /// The Zenoh key of the message.
     pub key: &'s str,
-    /// What it answers.
+    /// The challenge of the query that it answers.
     pub challenge: Challenge,
-    /// What is said.
+    /// The message's payload.
     pub payload: &'s [u8],
 }
 
 impl Statement<'_> {
-    /// The signed bytes: a fixed beginning, the key's length and the key, the challenge, the
-    /// payload.
+    /// The signed bytes: a fixed start, the key's length and the key, the challenge, the payload.
     pub(crate) fn message(&self) -> Vec<u8> {
         let key_bytes = (self.key.len() as u32).to_be_bytes();
         [CONTEXT, &key_bytes, self.key.as_bytes(), &self.challenge, self.payload].concat()
     }
 }
 
-/// An attachment, taken apart.
+/// The parts of an attachment.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Seal<'a> {
     pub(crate) signature: &'a [u8],
@@ -66,7 +64,7 @@ impl<'a> Seal<'a> {
     }
 }
 
-/// A challenge that nobody can foresee; none where the system has no random bytes.
+/// An unpredictable challenge; none where the system has no random bytes.
 pub fn new_challenge() -> Option<Challenge> {
     let mut challenge = Challenge::default();
     SystemRandom::new().fill(&mut challenge).ok()?;

@@ -1,4 +1,4 @@
-//! Whether what is said is signed by the one who is named.
+//! Check that messages are signed by the observer in their key.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -7,59 +7,54 @@ use crate::certificate::{Certificate, CertificateFault};
 use crate::member::Member;
 use crate::seal::{Seal, Statement};
 
-/// Certificates that are kept. The authority has signed them all, so only a large swarm that renews
-/// often has more.
+/// Maximum certificates that are kept. The authority has signed them all, so only a large swarm
+/// with frequent renewals has more.
 const MOST_KNOWN: usize = 1_024;
 
-/// Checks signatures, and remembers the certificates that came with them.
+/// Checks signatures, and keeps the certificates that arrive with them.
 #[derive(Debug)]
 pub struct Trust {
     member: Arc<Member>,
     known: Mutex<BTreeMap<[u8; 8], Arc<Certificate>>>,
 }
 
-/// Why a message is not taken for what it says.
+/// The reason why a message is not trusted.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[expect(missing_docs, reason = "the texts describe the variants")]
 pub enum Untrusted {
-    /// The report carries no signature.
     #[error("it is not signed")]
     NotSigned,
-    /// Its certificate has not come yet; it comes once a second.
+    /// Its certificate has not arrived yet; it is sent once a second.
     #[error("its certificate is not known yet")]
     NotKnown,
-    /// Its certificate does not count.
     #[error("its certificate does not count: {0}")]
     Certificate(#[from] CertificateFault),
-    /// Its certificate is revoked.
     #[error("the certificate of '{0}' is revoked")]
     Revoked(String),
-    /// Its signer is not on the roster.
     #[error("'{0}' is not on the swarm's roster")]
     NotAMember(String),
-    /// Somebody else has signed it.
     #[error("it is signed by '{0}'")]
     Another(String),
-    /// The signature does not match: it was changed, or said under another key or to another
-    /// question.
+    /// The signature does not match: the message, its key or its query is another.
     #[error("its signature does not match what it says, or where, or to which question")]
     Signature,
 }
 
 impl Trust {
-    /// As `member` sees it.
+    /// Trust with the roster and authority of `member`.
     pub fn of(member: Arc<Member>) -> Self {
         Self { member, known: Mutex::default() }
     }
 
-    /// Whether somebody of this name belongs to the swarm.
+    /// Whether this name belongs to the swarm.
     pub fn knows(&self, name: &str) -> bool {
         self.member.roster.has(name)
     }
 
-    /// Whether `observer` has said this, by the attachment that came with it.
+    /// Checks by the attachment that `observer` has signed this statement.
     ///
     /// # Errors
-    /// Why it is not taken for that.
+    /// The reason why it is not trusted.
     pub fn check(
         &self,
         observer: &str,
@@ -80,7 +75,7 @@ impl Trust {
         if !certificate.has_signed(&said.message(), seal.signature) {
             return Err(Untrusted::Signature);
         }
-        // Last, so that nobody is named who has not signed.
+        // The name is compared last, so that errors name only actual signers.
         if certificate.name != observer {
             return Err(Untrusted::Another(name()));
         }

@@ -6,7 +6,7 @@ use std::sync::LazyLock;
 /// The Gaussian is truncated at this many standard deviations. The density is lowered by its value
 /// there, and scaled so that the distribution goes from 0 to 1. So neither function has a step.
 pub(crate) const REACH: f32 = 3.6;
-/// Steps of the table for each deviation: linear interpolation is exact to 1e-5.
+/// Steps of the table per standard deviation: linear interpolation is exact to 1e-5.
 const STEPS: f32 = 128.0;
 const HALF: usize = (REACH * STEPS) as usize + 2;
 
@@ -26,7 +26,7 @@ static TABLE: LazyLock<Vec<[f32; 2]>> = LazyLock::new(|| {
         .collect()
 });
 
-/// The table. A caller gets it once for many samples.
+/// The table. Callers get it once for many samples.
 #[derive(Clone, Copy)]
 pub(crate) struct Gaussian(&'static [[f32; 2]]);
 

@@ -2,7 +2,7 @@
 
 use thiserror::Error;
 
-/// Why bytes were refused as an image.
+/// Reason why bytes were refused as an image.
 #[allow(missing_docs, reason = "the messages say what each is")]
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Error)]
 pub enum ImageError {

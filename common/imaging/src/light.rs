@@ -2,7 +2,7 @@
 //!
 //! A lens blurs an edge, then the camera encodes it. That moves the edge towards the dark side,
 //! because the curve lifts dark values more than bright ones: by some tenths of a pixel on a 20 px
-//! marker. So everything that measures edges works on linear values.
+//! marker. So all edge measurements use linear values.
 
 use flockeye_geometry::view::ViewPixel;
 use thiserror::Error;
@@ -20,7 +20,7 @@ pub enum TransferCurve {
     Linear,
 }
 
-/// Which code values stand for black and white.
+/// Code values of black and white.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum CodeRange {
     /// 0 to 255.
@@ -29,7 +29,7 @@ pub enum CodeRange {
     Limited,
 }
 
-/// Why a curve cannot be inverted.
+/// Reason why a curve cannot be inverted.
 #[allow(missing_docs, reason = "the messages say what each is")]
 #[derive(Debug, Clone, Copy, PartialEq, Error)]
 pub enum LightError {
@@ -41,7 +41,7 @@ pub enum LightError {
     Table { code: u8, light: f32, before: f32 },
 }
 
-/// The radiance that each code value stands for: black is 0, nominal white is 1.
+/// Radiance of each code value: black is 0, nominal white is 1.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LinearLight {
     table: [f32; 256],
@@ -70,7 +70,8 @@ impl LinearLight {
         Ok(Self { table })
     }
 
-    /// A measured response: the radiance that each code value stands for, up to a common factor.
+    /// Creates the table of a measured response: the radiance of each code value, up to a common
+    /// factor.
     ///
     /// # Errors
     /// The first code value at which the radiance falls or is not finite.
@@ -85,20 +86,20 @@ impl LinearLight {
         Ok(Self { table })
     }
 
-    /// The radiance that `code` stands for.
+    /// Radiance of `code`.
     #[inline]
     pub fn of(&self, code: u8) -> f32 {
         self.table[usize::from(code)]
     }
 
-    /// The radiance of a code between whole ones. Codes beyond 0 and 255 continue the curve.
+    /// Radiance of a code value that need not be whole. Beyond 0 and 255 the curve is extrapolated.
     pub fn between(&self, code: f64) -> f64 {
         let below = code.clamp(0.0, 254.0) as usize;
         let (here, next) = (f64::from(self.table[below]), f64::from(self.table[below + 1]));
         here + (next - here) * (code - below as f64)
     }
 
-    /// The code of a radiance, between whole codes too; 0 or 255 beyond the curve's ends.
+    /// Code value of a radiance, not necessarily whole; 0 or 255 beyond the curve's ends.
     pub fn code_of(&self, radiance: f64) -> f64 {
         let above = self.table.partition_point(|&of| f64::from(of) < radiance).clamp(1, 255);
         let (below, at) = (f64::from(self.table[above - 1]), f64::from(self.table[above]));
@@ -114,7 +115,7 @@ impl LinearLight {
     /// Curvature -L c''/c' of code values c over radiance L, in the middle of the range.
     ///
     /// It is 1 - 1/g where code values are the g-th root of radiance, and 0 where they are
-    /// proportional to it. Where code values are smoothed, it determines how far edges move.
+    /// proportional to it. It determines the shift of edges by smoothing of code values.
     pub fn bend(&self) -> f64 {
         let [dark, middle, light] = [68, 128, 188].map(|code: u8| f64::from(self.of(code)));
         let (step, slope) = (60.0, (light - dark) / 120.0);
@@ -130,7 +131,7 @@ impl LinearLight {
     pub fn at(&self, image: &LumaImage<'_>, at: ViewPixel) -> Option<f32> {
         let (x, y) = (at.0.x, at.0.y);
         let (last_x, last_y) = ((image.width() - 1) as f64, (image.height() - 1) as f64);
-        // Written so that a NaN counts as outside.
+        // In this form a NaN counts as outside.
         if !(x >= 0.0 && y >= 0.0 && x <= last_x && y <= last_y) {
             return None;
         }
@@ -148,7 +149,7 @@ impl LinearLight {
     }
 }
 
-/// The radiance in [0, 1] that the encoded `value` >= 0 stands for.
+/// Radiance in [0, 1] of the encoded `value` >= 0.
 fn undo(curve: TransferCurve, value: f64) -> f64 {
     match curve {
         TransferCurve::Srgb if value <= 0.04045 => value / 12.92,

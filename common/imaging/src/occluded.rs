@@ -1,23 +1,23 @@
-//! Which pixels show something else than what is fitted to them: an arm, a propeller, a finger
-//! before a marker.
+//! Pixels that show an occluder instead of the fitted model: an arm, a propeller, a finger in front
+//! of a marker.
 //!
 //! An occluder's soft edge is no outlier and moves every edge next to it: it is left out too.
 
 /// A pixel is occluded if its residual exceeds both this many standard deviations of the noise and
 /// [`MIN_RESIDUAL_SHARE`]. Edges of a fit that has not converged yet have smaller residuals.
 const MIN_RESIDUAL_SIGMAS: f64 = 5.0;
-/// Residual of an occluded pixel at least, as a share of white.
+/// Least residual of an occluded pixel, as a share of white.
 const MIN_RESIDUAL_SHARE: f64 = 0.12;
-/// Pixels this near to an occluded one are left out too, standard deviations of the point spread.
+/// Margin around an occluded pixel that is left out too, standard deviations of the point spread.
 const REACH_BLURS: f64 = 2.5;
 
-/// The residual, absolute, above which a pixel is occluded. `noise` is the standard deviation of
-/// the others', `white` the radiance of white, both in the residual's unit.
+/// Threshold of the absolute residual of an occluded pixel. `noise` is the standard deviation of
+/// the other residuals, `white` the radiance of white, both in the residual's unit.
 pub(crate) fn least_residual(noise: f64, white: f64) -> f64 {
     (MIN_RESIDUAL_SIGMAS * noise).max(MIN_RESIDUAL_SHARE * white)
 }
 
-/// How far round an occluded pixel others are left out, pixels, by the standard deviation of blur.
+/// Margin around an occluded pixel, pixels, for a standard deviation of the blur.
 pub(crate) fn reach_px(blur_px: f64) -> f64 {
     (REACH_BLURS * blur_px).ceil()
 }

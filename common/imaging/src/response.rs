@@ -8,8 +8,8 @@
 //! g(z of place p in picture k) = ln E_p + ln t_k
 //! ```
 //!
-//! The radiances E_p are eliminated. Between the codes that were seen, and beyond them, the curve
-//! goes on like a power of the code: z^2 g''(z), which is constant for a power, changes slowly.
+//! The radiances E_p are eliminated. Between the observed codes, and beyond them, the curve
+//! continues like a power of the code: z^2 g''(z), which is constant for a power, changes slowly.
 //!
 //! Source: P. Debevec and J. Malik, Recovering high dynamic range radiance maps from photographs
 //! (1997), with the penalty above in place of that on g''.
@@ -20,43 +20,43 @@ use thiserror::Error;
 use crate::image::LumaImage;
 use crate::light::LinearLight;
 
-/// Pictures that a curve needs.
+/// Least number of pictures for a curve.
 pub const MIN_PICTURES: usize = 3;
-/// Exposures must differ by this factor at least, from the shortest to the longest.
+/// Least ratio between the longest and the shortest exposure.
 pub const MIN_RANGE: f64 = 3.0;
-/// Places that a curve needs.
+/// Least number of places for a curve.
 pub const MIN_PLACES: usize = 200;
 
 /// Codes outside these may be clipped.
 const CODES: std::ops::RangeInclusive<u8> = 3..=251;
-/// A place is even if its nine pixels differ by this at most, code values, where seen best.
+/// Largest difference between the nine pixels of an even place, code values, in its best exposure.
 const EVEN_CODES: u8 = 12;
-/// Even places with codes in one of so many ranges, and how many of each are taken.
+/// Number of code ranges for even places, and places used from each.
 const RANGES: usize = 64;
 const PLACES_OF_RANGE: usize = 40;
-/// Pixels from one place that is looked at to the next.
+/// Distance between tested places, pixels.
 const STRIDE_PX: usize = 3;
-/// Weight of the penalty beside that of one place.
+/// Weight of the penalty, relative to that of one place.
 const STIFFNESS: f64 = 0.02;
-/// The code whose light is taken as known: only ratios of light can be.
+/// Code whose light is fixed, because only ratios of light can be measured.
 const ANCHOR: usize = 128;
 /// Scale of Cauchy's weight function, standard deviations.
 const CAUCHY: f64 = 2.5;
-/// The light of a brighter code may seem less by this much, because of noise.
+/// Largest fall of light from a code to a brighter one that noise may cause.
 const FALL: f64 = 0.02;
-/// By so much light rises from a code to the next at least.
+/// Least rise of light from a code to the next.
 const LEAST_RISE: f32 = 1e-4;
 
-/// A picture, and how long it was exposed.
+/// A picture with its exposure.
 #[derive(Debug, Clone, Copy)]
 pub struct Exposure<'a> {
     /// The picture.
     pub image: LumaImage<'a>,
-    /// How long it was exposed, seconds or any other unit.
+    /// Exposure time, seconds or any other unit.
     pub seconds: f64,
 }
 
-/// Why a series of pictures does not tell the curve.
+/// Reason why a series of pictures does not determine the curve.
 #[allow(missing_docs, reason = "the messages say what each is")]
 #[derive(Debug, Clone, PartialEq, Error)]
 pub enum ResponseError {
@@ -94,23 +94,23 @@ pub enum ResponseError {
 pub struct FittedResponse {
     /// The light of each code; that of code 255 is 1.
     pub light: LinearLight,
-    /// Standard deviation of the light of each code, as a share of it, beside that of code 128.
+    /// Relative standard deviation of the light of each code, apart from that of code 128.
     pub deviations: Vec<f64>,
-    /// The darkest and the brightest code that was seen. Beyond them the curve is continued.
+    /// The darkest and the brightest observed code. Beyond them the curve is extrapolated.
     pub seen: (u8, u8),
     /// Standard deviation of the residuals, as a share of light.
     pub residual: f64,
     /// Places that were used.
     pub places: usize,
-    /// How far edges seem off by this curve because of noise, pixels, from the curves of either
-    /// half of the places. `None` where a half alone does not tell the curve.
+    /// Apparent shift of edges by this curve because of noise, pixels, from the curves of either
+    /// half of the places. `None` where a half alone does not determine the curve.
     pub edge_shift_px: Option<f64>,
 }
 
 /// Codes of a place that are neither black nor white, with the logarithms of their exposures.
 type Place = Vec<(f64, f64)>;
 
-/// Finds the curve of the camera that took these pictures of one scene, from a tripod.
+/// Computes the curve of the camera from pictures of one scene, taken from a tripod.
 pub fn fit_response(series: &[Exposure<'_>]) -> Result<FittedResponse, ResponseError> {
     let places = places(series)?;
     let fitted = fit_places(&places)?;
@@ -118,22 +118,23 @@ pub fn fit_response(series: &[Exposure<'_>]) -> Result<FittedResponse, ResponseE
         let places: Vec<Place> = places.iter().skip(first).step_by(2).cloned().collect();
         fit_places(&places).ok()
     };
-    // A half's error has sqrt 2 times the deviation of the whole's, the halves' difference twice.
+    // The error of a half has sqrt 2 times the deviation of the whole, the difference of the halves
+    // twice.
     let apart_px = |(one, other): (FittedResponse, FittedResponse)| {
         edge_shift_px(&one.light, &other.light).abs() / 2.0
     };
     Ok(FittedResponse { edge_shift_px: half(0).zip(half(1)).map(apart_px), ..fitted })
 }
 
-/// How far an edge between print and paper, blurred by 0.9 px, seems off if light is taken for
-/// `assumed` and is `actual`, pixels. Positive: white seems wider.
+/// Apparent shift of an edge between print and paper, blurred by 0.9 px, if light is taken for
+/// `assumed` and is `actual`, pixels. Positive: white appears wider.
 pub fn edge_shift_px(assumed: &LinearLight, actual: &LinearLight) -> f64 {
     const BLUR_PX: f64 = 0.9;
     const STEP_PX: f64 = 0.02;
     let (black, white) = (0.03, 0.6);
     let seen = |light: f64| assumed.between(actual.code_of(light));
     let (seen_black, seen_white) = (seen(black), seen(white));
-    // The area between what is seen and what is there, both from 0 to 1.
+    // Area between the apparent and the actual edge, both from 0 to 1.
     (-250..250)
         .map(|step| {
             let at = (f64::from(step) + 0.5) * STEP_PX;
@@ -167,7 +168,7 @@ fn places(series: &[Exposure<'_>]) -> Result<Vec<Place>, ResponseError> {
     let (width, height) = size(first);
     let mut taken = [0; RANGES];
     let mut places = Vec::new();
-    // By a step that is prime to most sizes, so that no part of the scene is preferred.
+    // The step is prime to most sizes, so that no part of the scene is preferred.
     let (columns, rows) =
         (width.saturating_sub(2) / STRIDE_PX, height.saturating_sub(2) / STRIDE_PX);
     let count = columns * rows;
@@ -185,7 +186,7 @@ fn places(series: &[Exposure<'_>]) -> Result<Vec<Place>, ResponseError> {
         let best = seen.iter().min_by(|a, b| (a.0 - 128.0).abs().total_cmp(&(b.0 - 128.0).abs()));
         let Some(&(code, spread, _)) = best else { continue };
         let range = (code as usize * RANGES / 256).min(RANGES - 1);
-        // Twice at one exposure tells nothing.
+        // Two pictures with one exposure add no information.
         let is_tied = seen.iter().any(|at| (at.2 - seen[0].2).abs() > 1e-6);
         if is_tied && spread <= EVEN_CODES && taken[range] < PLACES_OF_RANGE {
             taken[range] += 1;
@@ -211,7 +212,7 @@ fn around(image: &LumaImage<'_>, x: usize, y: usize) -> (f64, std::ops::RangeInc
     (f64::from(sum) / 9.0, least..=most)
 }
 
-/// Trust in a code: the middle ones are neither noisy nor clipped.
+/// Weight of a code: the middle ones are neither noisy nor clipped.
 fn trust(code: f64) -> f64 {
     (code.min(255.0 - code) / 127.5).max(0.02)
 }
@@ -249,7 +250,7 @@ fn fit_places(places: &[Place]) -> Result<FittedResponse, ResponseError> {
         }
         if round > 0 {
             let middle = residuals.len() / 2;
-            // Each place has taken one value for its radiance.
+            // Each place has used one value for its radiance.
             let freedom = 1.0 - places.len() as f64 / residuals.len() as f64;
             let median = *residuals.select_nth_unstable_by(middle, f64::total_cmp).1;
             deviation = (1.4826 * median / freedom.sqrt()).max(1e-4);
@@ -269,7 +270,7 @@ fn fit_places(places: &[Place]) -> Result<FittedResponse, ResponseError> {
         if is_seen && light < table[code - 1] * (1.0 - FALL as f32) {
             return Err(ResponseError::Falling { code: code as u8 });
         }
-        // Each code stands for a little more light than the one before it.
+        // Each code has a little more light than the one before it.
         table[code] = light.max(table[code - 1] * (1.0 + LEAST_RISE));
     }
     let brightest = table[255];
@@ -315,7 +316,7 @@ fn add_place(
     }
 }
 
-/// Adds what holds the curve together where no places are.
+/// Adds the penalty, which determines the curve where no places are.
 fn add_penalty(normal: &mut DMatrix<f64>) {
     // z^2 g''(z), as weights of three codes.
     let bend = |z: usize| {
@@ -332,7 +333,7 @@ fn add_penalty(normal: &mut DMatrix<f64>) {
         }
     }
     normal[(ANCHOR, ANCHOR)] += 1e6;
-    // Black is no place's code: it only has to be something.
+    // No place has the code of black, so its value is arbitrary.
     normal[(0, 0)] += 1e-6;
 }
 

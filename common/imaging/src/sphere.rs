@@ -4,12 +4,11 @@
 //! exactly at nine points of a tile and interpolated quadratically between them, in integers of
 //! 1/65536 px. The error is at most [`MAX_MAPPING_ERROR_PX`]. Where that is not possible, a tile is
 //! split, down to single pixels: next to a pole, where the columns converge, and along the border
-//! between two lenses. Nothing is precomputed for a view, so one that moves with each frame costs
-//! the same as one that does not.
+//! between two lenses. Nothing is precomputed for a view, so moving and fixed views cost the same.
 //!
 //! Pixels are interpolated bilinearly or by a cubic. In an equirectangular image the first and the
 //! last column are neighbours. Beyond the first and the last row lies the same row, half a turn
-//! further. What the camera does not see is black.
+//! further. Pixels outside the camera's field are black.
 //!
 //! ```
 //! use flockeye_geometry::{camera::Camera, view::View};
@@ -59,7 +58,7 @@ pub fn instructions() -> &'static str {
 /// sharp as a camera's (blurred by 0.8 px).
 ///
 /// # Errors
-/// A view that shows nothing, overlapping rows, or an `out` that is too short for the view.
+/// A view without content, overlapping rows, or an `out` that is too short for the view.
 pub fn rectify_into(
     sphere: &SphereImage<'_>,
     cut: &Cut,

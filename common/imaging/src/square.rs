@@ -15,7 +15,7 @@ pub struct SquareInView {
 impl SquareInView {
     /// The map from the unit square's corners to `corners_in_view`, in ArUco's order (clockwise
     /// from the top left). `None` unless these are a convex quadrilateral, clockwise in the image,
-    /// as that of a marker seen from its front.
+    /// like a marker seen from its front.
     ///
     /// Source: P. Heckbert, Fundamentals of Texture Mapping and Image Warping (1989), 2.2.3.
     pub fn new(corners_in_view: &[ViewPixel; 4]) -> Option<Self> {

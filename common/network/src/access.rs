@@ -1,28 +1,28 @@
-//! Rules of Zenoh's access control: which certificate may do what on a link.
+//! Rules of Zenoh's access control: the messages that each certificate allows on a link.
 //!
-//! Zenoh asks which certificate the other end of the *link* has shown, and not who began to say
-//! something. So every gateway and every router has these rules. Their names are literal, and they
-//! hold until the session ends.
+//! Zenoh checks the certificate at the other end of the *link*, and not that of a message's origin.
+//! So every gateway and every router has these rules. Their names are literal, and they hold until
+//! the session ends.
 
 use flockeye_contract::wire::{all_frames_key, all_keys};
 use flockeye_identity::Roster;
 use serde_json::{Value, json};
 
-/// All that can be asked for; nobody is told by it.
+/// Messages that request data and carry none.
 const ASK: &[&str] =
     &["declare_subscriber", "query", "declare_liveliness_subscriber", "liveliness_query"];
-/// All that can be said.
+/// Messages that carry or announce data.
 const SAY: &[&str] = &["put", "delete", "reply", "declare_queryable", "liveliness_token"];
-/// What carries reports.
+/// Messages that carry reports.
 const REPORT: &[&str] = &["put", "reply"];
 
-/// The rules of a swarm. What nothing allows is denied.
+/// The access rules of a swarm. All else is denied.
 ///
-/// A member says what stands under its own name, and asks for all. Routers pass on all. Reports are
-/// let in whatever name they bear, and judged by their signatures ([`flockeye_identity::Trust`]):
-/// so whoever speaks in another's name is known and counted, where Zenoh would drop it without a
-/// word. A gateway lets them in from everybody who could link; a router (`is_router`), which reads
-/// no signatures, from members alone.
+/// A member may publish under its own name, and may request everything. Routers pass on everything.
+/// Reports are admitted under any name, and are judged by their signatures
+/// ([`flockeye_identity::Trust`]). So a report in another's name is identified and counted, where
+/// Zenoh would drop it silently. A gateway admits reports from every link; a router (`is_router`),
+/// which reads no signatures, only from members.
 pub(crate) fn access_rules(roster: &Roster, is_router: bool) -> Value {
     let Roster { swarm, members, routers, .. } = roster;
     let all = all_keys(swarm, None);

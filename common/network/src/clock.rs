@@ -1,55 +1,55 @@
-//! How a peer's clock differs from this machine's, from the reports themselves.
+//! Estimate of the offset between a peer's clock and this machine's, from the reports themselves.
 //!
-//! A report says when it was sent by its sender's clock, so each gives the time on the air plus the
-//! difference of the clocks. The least of many is the difference plus the shortest way. The peer
-//! says the same of ours (`clocks` in its report): half the difference of the two is the clocks'
-//! difference, if the shortest ways there and back are equally long, as in NTP (Mills, RFC 5905,
-//! section 8).
+//! A report contains its time of sending by its sender's clock. So each gives the transit time plus
+//! the clocks' offset. The minimum of many is the offset plus the shortest transit time. The peer
+//! reports the same for our reports (`clocks` in its report). Half the difference of the two is the
+//! clocks' offset, if the shortest transit times are equal both ways. NTP uses the same formula
+//! (Mills, RFC 5905, section 8).
 
 use flockeye_contract::wire::ClockOffset;
 
-/// The least is taken over this time and the same time before, nanoseconds: clocks that drift apart
-/// by 50 ppm move by a millisecond in it.
+/// The minimum is taken over this time and the same time before, nanoseconds. Clocks that drift
+/// apart by 50 ppm move by a millisecond in it.
 const WINDOW_NS: i64 = 20_000_000_000;
-/// Share of a new value in the mean delay above the least.
+/// Weight of a new value in the mean delay above the minimum.
 const MEAN_SHARE: f64 = 0.05;
-/// Minimum deviation of an estimate, nanoseconds: waking a thread takes as long.
+/// Minimum standard deviation of an estimate, nanoseconds: waking a thread takes as long.
 const LEAST_DEVIATION_NS: f64 = 50_000.0;
-/// Without the peer's word the shortest way is unknown; on one radio it is about this long,
-/// nanoseconds.
+/// Shortest transit time where the peer does not report it, nanoseconds; typical of one radio.
 const ONE_WAY_GUESS_NS: f64 = 1_000_000.0;
-/// A longer way there and back is not believed, nanoseconds.
+/// Maximum plausible round trip, nanoseconds.
 const LONGEST_ROUND_NS: i64 = 1_000_000_000;
 
-/// Times from sending by the peer's clock (UTC) to arrival by ours (CLOCK_MONOTONIC), nanoseconds.
+/// Transit times: from sending by the peer's clock (UTC) to arrival by ours (CLOCK_MONOTONIC),
+/// nanoseconds.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct OneWay {
-    /// The least in this window and in the one before.
+    /// The minimum of this window and of the one before.
     least: [Option<i64>; 2],
     window_began_ns: i64,
     mean_above: f64,
-    /// What the peer says of ours: the least of arrival by its clock less sending by ours, both
-    /// UTC.
+    /// The minimum that the peer reports for our reports: arrival by its clock less sending by
+    /// ours, both UTC.
     back: Option<i64>,
 }
 
-/// How a peer's clock differs from ours.
+/// Offset of a peer's clock from ours.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ClockEstimate {
     /// The peer's UTC less our CLOCK_MONOTONIC, nanoseconds.
     pub utc_less_monotonic_ns: i64,
     /// The peer's UTC less ours, nanoseconds.
     pub offset_ns: i64,
-    /// Standard deviation of both, nanoseconds.
+    /// Standard deviation of both offsets, nanoseconds.
     pub deviation_ns: i64,
-    /// The least of arrival by our UTC less sending by the peer's, nanoseconds.
+    /// Minimum of arrival by our UTC less sending by the peer's, nanoseconds.
     pub one_way_ns: i64,
-    /// Whether the peer's own word on the way back is part of it.
+    /// Whether the estimate uses the peer's minimum for our reports.
     pub is_two_way: bool,
 }
 
 impl OneWay {
-    /// How much later than the earliest ever this one came, nanoseconds; none before the first.
+    /// Delay of a report above the minimum transit time, nanoseconds; none before the first.
     pub(crate) fn above_least(&self, sent_utc_ns: i64, arrived_ns: i64) -> Option<i64> {
         Some(arrived_ns.saturating_sub(sent_utc_ns).saturating_sub(self.least()?))
     }
@@ -58,7 +58,7 @@ impl OneWay {
         self.least.into_iter().flatten().min()
     }
 
-    /// Takes in a report that was sent and arrived at these times.
+    /// Adds a report with these times of sending and arrival.
     pub(crate) fn add(&mut self, sent_utc_ns: i64, arrived_ns: i64) {
         if self.least().is_none() {
             self.window_began_ns = arrived_ns;
@@ -72,7 +72,7 @@ impl OneWay {
         self.mean_above += MEAN_SHARE * (above - self.mean_above);
     }
 
-    /// Takes in what the peer says of our own reports.
+    /// Takes the peer's minimum for our own reports.
     pub(crate) fn hear_back(&mut self, said: &ClockOffset) {
         let nanoseconds = said.one_way_ms * 1e6;
         if nanoseconds.is_finite() && nanoseconds.abs() < 9e18 {
@@ -80,16 +80,16 @@ impl OneWay {
         }
     }
 
-    /// The estimate, where our own UTC is `own_utc_less_monotonic_ns` ahead of CLOCK_MONOTONIC.
-    /// None before the first report.
+    /// The estimate, where our UTC is `own_utc_less_monotonic_ns` ahead of CLOCK_MONOTONIC. None
+    /// before the first report.
     pub fn estimate(&self, own_utc_less_monotonic_ns: i64) -> Option<ClockEstimate> {
         let one_way_ns = self.least()?.saturating_add(own_utc_less_monotonic_ns);
         let round = self.back.map(|back| (back, back.saturating_add(one_way_ns)));
-        // A way there and back that takes less than no time, or absurdly long, is no way: the peer
-        // lies, or one of the clocks was set meanwhile.
+        // A round trip that is negative or very long is invalid. Then the peer's value is false, or
+        // one of the clocks was set meanwhile.
         let round = round.filter(|(_, round)| (-1_000_000..LONGEST_ROUND_NS).contains(round));
         let (offset_ns, deviation, is_two_way) = match round {
-            // The shortest way there may take any share of the round: a uniform distribution.
+            // The transit time one way may be any share of the round trip: a uniform distribution.
             Some((back, round)) => {
                 let deviation = round.max(0) as f64 / 2.0 / 3f64.sqrt();
                 (back.saturating_sub(one_way_ns) / 2, deviation, true)
@@ -110,12 +110,12 @@ impl OneWay {
 }
 
 impl ClockEstimate {
-    /// An instant of the peer's clock on ours, CLOCK_MONOTONIC.
+    /// Converts an instant of the peer's clock to ours, CLOCK_MONOTONIC.
     pub fn monotonic_from_utc(&self, utc_ns: i64) -> i64 {
         utc_ns.saturating_sub(self.utc_less_monotonic_ns)
     }
 
-    /// The estimate as a report has it.
+    /// The estimate in the format of reports.
     pub fn to_wire(self) -> ClockOffset {
         ClockOffset {
             one_way_ms: self.one_way_ns as f64 * 1e-6,

@@ -1,4 +1,4 @@
-//! The network as pipeline.yaml configures it.
+//! Network parameters from pipeline.yaml.
 
 use flockeye_config::{GatewayMode, Pipeline, Security};
 use flockeye_identity::MemberFiles;
@@ -6,7 +6,7 @@ use flockeye_identity::MemberFiles;
 use crate::parameters::{NetworkMode, NetworkParameters};
 
 impl NetworkParameters {
-    /// How the gateway takes part in the swarm.
+    /// Parameters of the gateway's session.
     pub fn of_drone(pipeline: &Pipeline) -> Self {
         Self {
             swarm: pipeline.observer.swarm.clone(),
@@ -23,8 +23,8 @@ impl NetworkParameters {
         }
     }
 
-    /// How an onlooker, which is no drone of the swarm, joins: through this machine's own gateway,
-    /// and through the endpoints that the gateway connects to.
+    /// Parameters of an onlooker, which is no drone of the swarm. It connects to this machine's own
+    /// gateway, and to the gateway's own endpoints.
     pub fn of_onlooker(pipeline: &Pipeline) -> Self {
         let gateway = &pipeline.gateway;
         let listen: &[String] =

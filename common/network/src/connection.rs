@@ -16,9 +16,9 @@ use crate::error::NetworkError;
 use crate::parameters::{NetworkMode, NetworkParameters};
 use flockeye_runtime::lock::lock;
 
-/// How long a client waits before it looks for its router again.
+/// Time between a client's attempts to reach its router.
 const RETRY: Duration = Duration::from_secs(1);
-/// How often a thread that waits for the session checks whether it should stop.
+/// Period at which a thread that waits for the session checks whether to stop.
 const LOOK: Duration = Duration::from_millis(50);
 
 /// A session that is open, or is being opened.
@@ -29,7 +29,7 @@ pub(crate) struct Connection {
 }
 
 impl Connection {
-    /// Opens a peer's or a router's session, or starts to look for a client's router.
+    /// Opens a peer's or a router's session, or starts a thread that opens a client's.
     pub(crate) fn open(
         parameters: &NetworkParameters,
         roster: Option<&Roster>,
@@ -114,8 +114,8 @@ fn look_for_router(config: &str, routers: &str, connection: &Weak<Connection>) {
     }
 }
 
-/// Tries whether `endpoint` can be listened on. Zenoh itself retries silently whatever the reason.
-/// That is right for an interface that is not up yet, and wrong for a port that is in use.
+/// Checks whether `endpoint` can be listened on. Zenoh itself retries silently for any reason. That
+/// is right for an interface that is not up yet, and wrong for a port that is in use.
 fn probe(endpoint: &str) -> Result<(), NetworkError> {
     let Ok(address) = listen_address(endpoint) else { return Ok(()) };
     let bound = if endpoint.starts_with("udp") {

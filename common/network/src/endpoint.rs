@@ -1,4 +1,4 @@
-//! Zenoh endpoints as a user writes them: `tcp/ADDRESS:PORT` or `udp/ADDRESS:PORT`, and
+//! Zenoh endpoints in a user's configuration: `tcp/ADDRESS:PORT` or `udp/ADDRESS:PORT`, and
 //! `tls/ADDRESS:PORT` where the session is secure.
 
 use std::net::SocketAddr;
@@ -7,7 +7,7 @@ use zenoh::config::EndPoint;
 
 use crate::error::NetworkError;
 
-/// Parses what every endpoint must be.
+/// Parses an endpoint and checks its protocol.
 fn parse(endpoint: &str) -> Result<EndPoint, String> {
     let form = "is no endpoint. Write it tcp/ADDRESS:PORT, udp/ADDRESS:PORT or tls/ADDRESS:PORT";
     let parsed: EndPoint = endpoint.parse().map_err(|_| form.to_owned())?;
@@ -20,7 +20,7 @@ fn parse(endpoint: &str) -> Result<EndPoint, String> {
 /// Checks each endpoint of a list, which is the parameter `field`.
 ///
 /// # Errors
-/// [`NetworkError::Parameter`] names the first that is refused, and the cure.
+/// [`NetworkError::Parameter`] names the first refused endpoint, and the cure.
 pub fn check_each(
     field: &str,
     endpoints: &[String],
@@ -33,11 +33,11 @@ pub fn check_each(
     })
 }
 
-/// Refuses links in the clear where the session is secure, and secure ones where there are no
+/// Refuses unencrypted links where the session is secure, and encrypted links where there are no
 /// certificates.
 ///
 /// # Errors
-/// What is wrong with it, and what would be right.
+/// The reason, and a valid form.
 pub fn check_protocol(endpoint: &str, is_secure: bool) -> Result<(), String> {
     match (parse(endpoint)?.protocol().as_str(), is_secure) {
         ("tls", false) => Err("needs certificates. Cure: security, or tcp/ADDRESS:PORT".into()),
@@ -46,10 +46,10 @@ pub fn check_protocol(endpoint: &str, is_secure: bool) -> Result<(), String> {
     }
 }
 
-/// Refuses what cannot be listened on: one address of this machine, or one interface.
+/// Refuses an endpoint to listen on that is not one address of this machine, or one interface.
 ///
 /// # Errors
-/// What is wrong with it, and what would be right.
+/// The reason, and a valid form.
 pub fn check_listen(endpoint: &str) -> Result<(), String> {
     let address = listen_address(endpoint)?;
     let on_one_interface =
@@ -73,10 +73,10 @@ pub(crate) fn listen_address(endpoint: &str) -> Result<SocketAddr, String> {
     })
 }
 
-/// Refuses what cannot be connected to.
+/// Refuses an endpoint that cannot be connected to.
 ///
 /// # Errors
-/// What is wrong with it, and what would be right.
+/// The reason, and a valid form.
 pub fn check_connect(endpoint: &str) -> Result<(), String> {
     let parsed = parse(endpoint)?;
     let address = parsed.address();

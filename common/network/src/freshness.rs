@@ -1,5 +1,5 @@
-//! Whether a report is of now: not held back on the way, not said before, and not of a time to
-//! come.
+//! Freshness of reports: a fresh report was not delayed on the way, not received before, and has no
+//! future time.
 
 use flockeye_runtime::clock::monotonic_ns;
 
@@ -7,16 +7,16 @@ use crate::clock::OneWay;
 use crate::refusal::Refusal;
 use crate::utc::utc_from_monotonic;
 
-/// Reports that arrive this much later than the quickest so far are refused as stale, nanoseconds.
+/// Maximum delay above the minimum transit time, nanoseconds; later reports are refused as stale.
 const STALE_NS: i64 = 1_000_000_000;
-/// Reports that arrive this much earlier than the quickest so far are refused as from the future,
-/// nanoseconds.
+/// Maximum lead over the minimum transit time, nanoseconds; earlier reports are refused as from the
+/// future.
 const FUTURE_NS: i64 = 1_000_000_000;
-/// After so long without a report that passes, the next one begins anew: the drone was restarted,
-/// or its clock was set.
+/// Time without an accepted report after which the observer's times start anew, nanoseconds. The
+/// drone was restarted by then, or its clock was set.
 const ANEW_AFTER_NS: i64 = 3_000_000_000;
 
-/// One instant on this machine's clocks.
+/// One instant by this machine's two clocks.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ClockReading {
     /// CLOCK_MONOTONIC, nanoseconds.
@@ -28,7 +28,7 @@ pub struct ClockReading {
 }
 
 impl ClockReading {
-    /// Now.
+    /// Reads both clocks now.
     pub fn now() -> Self {
         let monotonic_ns = monotonic_ns();
         let (utc_ns, is_synchronised) = utc_from_monotonic(monotonic_ns);
@@ -41,26 +41,26 @@ impl ClockReading {
     }
 }
 
-/// What is remembered of one observer's reports.
+/// Times of one observer's reports.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Freshness {
-    /// How the observer's clock differs from ours.
+    /// Transit times, which contain the offset of the observer's clock.
     pub(crate) way: OneWay,
     last_passed_ns: Option<i64>,
-    /// When the newest report was sent, by the observer's clock.
+    /// Time of sending of the newest report, by the observer's clock.
     newest_utc_ns: Option<i64>,
-    /// The observer's last answer, where reports are signed: when it was sent and when it arrived.
+    /// Times of sending and arrival of the observer's last answer, where reports are signed.
     answer: Option<(i64, i64)>,
 }
 
 impl Freshness {
-    /// Whether what comes now is the first, or the first after a silence.
+    /// Whether the next report is the first, or the first after a silence.
     pub(crate) fn begins_anew(&self, arrival: &ClockReading) -> bool {
         self.last_passed_ns
             .is_none_or(|last| arrival.monotonic_ns.saturating_sub(last) > ANEW_AFTER_NS)
     }
 
-    /// Begins anew with an answer that is known to be of now.
+    /// Starts anew with an answer that was just requested.
     pub(crate) fn begin(&mut self, sent_utc_ns: i64, arrival: &ClockReading) {
         *self = Self::default();
         self.way.add(sent_utc_ns, arrival.monotonic_ns);
@@ -69,13 +69,13 @@ impl Freshness {
         self.answer = Some((sent_utc_ns, arrival.monotonic_ns));
     }
 
-    /// Notes an answer that need not be of now.
+    /// Notes an answer that may be older.
     pub(crate) fn note(&mut self, sent_utc_ns: i64) {
         self.newest_utc_ns = self.newest_utc_ns.max(Some(sent_utc_ns));
     }
 
-    /// Passes a report that was published, or says why it is not of now. `is_synchronised` says
-    /// whether the sender's clock is, with UTC.
+    /// Accepts a published report, or returns why it is not fresh. `is_synchronised`: whether the
+    /// sender's clock is synchronised with UTC.
     pub(crate) fn pass(
         &mut self,
         sent_utc_ns: i64,
@@ -111,8 +111,8 @@ impl Freshness {
                 return Err(Refusal::Overtaken);
             }
             newest_utc_ns = newest_utc_ns.max(Some(answer_utc_ns));
-            // Whoever holds reports back a little longer each time moves the quickest way, but not
-            // the answer.
+            // An attacker that delays each report a little longer shifts the minimum transit time.
+            // The time of the answer stays.
             let since_answer_ns = arrival.monotonic_ns.saturating_sub(arrived_ns);
             let late_ns = since_answer_ns.saturating_add(before_ns);
             if before_ns < 0 && late_ns > STALE_NS {

@@ -1,14 +1,14 @@
-//! What Flockeye sends to other drones, and receives from them, over Zenoh.
+//! Reports to and from other drones, over Zenoh.
 //!
 //! - [`Network`]: one Zenoh session, opened from [`NetworkParameters`]. Opening never waits for a
 //!   neighbour to be there.
-//! - [`Reporter`]: publishes that this drone is alive and where it sees its neighbours. It never makes
-//!   its caller wait for the radio.
-//! - [`Listener`]: keeps a table of who is alive and what each of them sees ([`Peers`]), and hands
-//!   out each report as it arrives ([`ReportStream`]).
-//! - Secure sessions: [`flockeye_identity`] says who is who. Links are mutual TLS, reports are signed, and `access.rs` has
-//!   the rules of each link.
-//! - [`endpoint`]: whether a text can be an endpoint.
+//! - [`Reporter`]: publishes that this drone is alive, and its sightings of neighbours. It never
+//!   blocks its caller for the radio.
+//! - [`Listener`]: keeps a table of the drones that are alive and their sightings ([`Peers`]). It
+//!   passes on each report as it arrives ([`ReportStream`]).
+//! - Secure sessions: [`flockeye_identity`] has the members' identities. Links are mutual TLS,
+//!   reports are signed, and `access.rs` has the rules of each link.
+//! - [`endpoint`]: checks of endpoints.
 //! - [`utc_from_monotonic`]: the time stamp of a report.
 //!
 //! The format is in [`flockeye_contract::wire`]; `docs/PEERS.md` describes it for subscribers in

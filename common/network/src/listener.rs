@@ -27,20 +27,20 @@ use crate::stream::{ReportStream, Streams, TimedSighting};
 use flockeye_runtime::clock::utc_s;
 use flockeye_runtime::lock::lock;
 
-/// Timeout for an observer's last values; it publishes new ones long before.
+/// Timeout of a query for an observer's last values; it publishes new ones long before.
 const ANSWER_WITHIN: Duration = Duration::from_secs(2);
 
-/// Minimum time between two questions to one observer.
+/// Minimum time between two queries to one observer.
 const ASK_AGAIN: Duration = Duration::from_millis(500);
 
 /// Maximum pairs of observer and reason with a throttle of their own.
 const MOST_WARNINGS: usize = 256;
 
-/// Keeps a table of who is alive and what each of them sees, until dropped.
+/// Keeps a table of the drones that are alive and their sightings, until dropped.
 ///
-/// Frame reports are received as they are published. An observer that is first seen is asked for
-/// its last values, so that a drone that joins late knows what the others know. Refused messages
-/// are counted and logged, and have no other effect.
+/// Frame reports are received as they are published. A new observer is queried for its last values.
+/// So a drone that joins late has the same data as the others. Refused messages are counted and
+/// logged, and have no other effect.
 #[derive(Debug)]
 pub struct Listener {
     hub: Arc<Hub>,
@@ -68,13 +68,13 @@ impl Listener {
         Ok(Self { hub, thread: Some(thread) })
     }
 
-    /// The table as it is now.
+    /// A copy of the current table.
     pub fn snapshot(&self) -> Peers {
         lock(&self.hub.peers).clone()
     }
 
-    /// Every report from now on, one by one; at most `capacity` wait to be read, then the oldest
-    /// are dropped.
+    /// A stream of every report from now on. At most `capacity` reports wait to be read; then the
+    /// oldest are dropped.
     pub fn stream(&self, capacity: usize) -> Arc<ReportStream> {
         self.hub.streams.subscribe(capacity)
     }
@@ -92,11 +92,11 @@ impl Drop for Listener {
     }
 }
 
-/// What Zenoh's callbacks and the thread share.
+/// State that Zenoh's callbacks and the thread share.
 #[derive(Debug)]
 struct Hub {
     swarm: String,
-    /// The members whose signatures count; none: anybody is believed.
+    /// The members whose signatures count; none: unsigned reports of any origin are accepted.
     trust: Option<Trust>,
     peers: Mutex<Peers>,
     streams: Streams,
@@ -107,25 +107,25 @@ struct Hub {
     warnings: Mutex<BTreeMap<(String, &'static str), Throttle>>,
 }
 
-/// Observers that are still to be asked for their last values, and when. All are in the table of
+/// Observers that are still to be queried for their last values, and when. All are in the table of
 /// peers, which bounds their number.
 #[derive(Debug, Default)]
 struct Newcomers {
     due: BTreeMap<String, Instant>,
-    /// When each was asked to prove that it is there.
+    /// Time of the last query to each observer.
     asked: BTreeMap<String, Instant>,
     closed: bool,
 }
 
 impl Hub {
-    /// Takes in a message; `challenge` is what it answers.
+    /// Takes a message; `challenge` is that of the query which it answers.
     fn hear(&self, sample: &Sample, delivery: Delivery, challenge: Challenge) {
         if sample.kind() != SampleKind::Put {
             return;
         }
         let key = sample.key_expr().as_str();
         let arrival = Arrival { at: Instant::now(), time: ClockReading::now(), delivery };
-        // No longer than the session lets through.
+        // Its length is limited by the session's filter.
         let payload = sample.payload().to_bytes();
         let said = Statement { key, challenge, payload: &payload };
         if let Err(refusal) = self.check(&said, sample.attachment(), &arrival) {
@@ -147,8 +147,8 @@ impl Hub {
         drop(peers);
         let arrived_monotonic_ns = arrival.time.monotonic_ns;
         for report in sightings {
-            // Before the first published report nothing is known of the clock but the age that it
-            // states.
+            // Before the first published report the sender's clock is unknown, so the reported
+            // latency counts.
             let (exposure_monotonic_ns, exposure_deviation_ns) = match clock {
                 Some(clock) => (clock.monotonic_from_utc(report.stamp_utc_ns), clock.deviation_ns),
                 None => {
@@ -165,7 +165,7 @@ impl Hub {
         }
     }
 
-    /// Refuses what is not signed by the observer that the key names.
+    /// Refuses a message that the observer in its key has not signed.
     fn check(
         &self,
         said: &Statement<'_>,
@@ -173,7 +173,7 @@ impl Hub {
         arrival: &Arrival,
     ) -> Result<(), Refusal> {
         let (Some(trust), Some(observer)) = (&self.trust, observer_in(said.key)) else {
-            // A key of nobody is refused later.
+            // A key without an observer is refused later.
             return Ok(());
         };
         let attachment = attachment.map(ZBytes::to_bytes);
@@ -183,7 +183,7 @@ impl Hub {
             if trust.knows(observer) {
                 return peers.refuse(observer, untrusted, arrival);
             }
-            // The table has room for members alone.
+            // Only members have entries in the table.
             peers.refused += 1;
             match untrusted {
                 Untrusted::NotKnown => Untrusted::NotAMember(observer.into()).into(),
@@ -203,8 +203,8 @@ impl Hub {
         }
     }
 
-    /// Asks an observer, for its last values and whether it is there; a little later if it was
-    /// asked just now.
+    /// Schedules a query to an observer: for its last values, and as a proof of presence. It waits
+    /// if the last query was just now.
     fn ask_again(&self, observer: &str) {
         let now = Instant::now();
         let mut newcomers = lock(&self.newcomers);
@@ -215,7 +215,7 @@ impl Hub {
 
     fn warn(&self, key: &str, refusal: &Refusal) {
         let observer = observer_in(key).filter(|observer| self.may_be(observer));
-        // Not longer than this: a log that is stuck holds nobody else up.
+        // The lock is released before logging, because a blocked log must not delay other threads.
         let mut warnings = lock(&self.warnings);
         let has_room = warnings.len() < MOST_WARNINGS;
         let name = observer.filter(|_| has_room).unwrap_or_default();
@@ -250,12 +250,12 @@ impl Hub {
         }
     }
 
-    /// Whether an observer of this name may be there.
+    /// Whether an observer of this name is admitted.
     fn may_be(&self, observer: &str) -> bool {
         self.trust.as_ref().is_none_or(|trust| trust.knows(observer))
     }
 
-    /// The next observer to ask; none when the listener is being dropped.
+    /// Waits for the next observer to query; none when the listener is being dropped.
     fn next(&self) -> Option<String> {
         let mut newcomers = lock(&self.newcomers);
         loop {
@@ -283,8 +283,8 @@ impl Hub {
     }
 }
 
-/// Deviation of a last value's exposure before anything is known of its sender's clock: a time on
-/// the air.
+/// Standard deviation of an exposure time before the sender's clock is known: a typical transit
+/// time.
 const UNKNOWN_DEVIATION_NS: i64 = 10_000_000;
 
 fn run(hub: &Arc<Hub>, connection: &Connection) {
@@ -315,7 +315,7 @@ fn listen(hub: &Arc<Hub>, session: &Session) -> zenoh::Result<()> {
     Ok(())
 }
 
-/// An observer that was asked; it has had its say when this is dropped with the query's callback.
+/// An observer that was queried. It counts as heard once this is dropped with the query's callback.
 struct Question {
     hub: Arc<Hub>,
     observer: String,
@@ -327,7 +327,7 @@ impl Drop for Question {
     }
 }
 
-/// Asks `observer` for its last values, without waiting for them.
+/// Queries `observer` for its last values, without waiting for the answer.
 fn ask(hub: &Arc<Hub>, session: &Session, observer: String) -> zenoh::Result<()> {
     let key = frame_key(&hub.swarm, &observer);
     let asked = Question { hub: hub.clone(), observer };
@@ -341,7 +341,8 @@ fn ask(hub: &Arc<Hub>, session: &Session, observer: String) -> zenoh::Result<()>
         .priority(Priority::RealTime)
         .timeout(ANSWER_WITHIN)
         .callback(move |reply: Reply| {
-            // An error is a timeout or an observer without an answer; its next reports come anyway.
+            // An error is a timeout or an observer without an answer; its next reports arrive
+            // anyway.
             if let Ok(sample) = reply.result() {
                 asked.hub.hear(sample, Delivery::LastValue, challenge);
             }

@@ -7,11 +7,11 @@ use flockeye_contract::{
     wire::{FrameReport, MAX_TARGETS, TargetReport, WireError},
 };
 use flockeye_runtime::lock::lock;
-use flockeye_runtime::slots::{Closed, Slots};
+use flockeye_runtime::slots::Slots;
 
 use crate::error::NetworkError;
 
-/// A report and when it was put in.
+/// A report and its time of queueing.
 #[derive(Debug, Clone)]
 pub(crate) struct QueuedReport {
     report: FrameReport,
@@ -19,8 +19,8 @@ pub(crate) struct QueuedReport {
 }
 
 impl QueuedReport {
-    /// The report as it goes out at `now`. Its latency counts to the moment it is handed to the
-    /// network, so the time in the queue is added.
+    /// Encodes the report for sending at `now`. Its latency counts until it is passed to Zenoh, so
+    /// the time in the queue is added.
     pub(crate) fn encode(&self, now: Instant) -> Result<Vec<u8>, WireError> {
         let queued_ms = now.saturating_duration_since(self.since).as_secs_f64() * 1e3;
         let mut report = self.report.clone();
@@ -33,13 +33,13 @@ impl QueuedReport {
 #[derive(Debug, Default)]
 pub(crate) struct Outbox {
     waiting: Slots<(), QueuedReport>,
-    /// The last report, without lost targets: the answer to later queries.
+    /// The last report without lost targets, which answers later queries.
     last: Mutex<Option<QueuedReport>>,
     targets: Mutex<BTreeSet<String>>,
 }
 
 impl Outbox {
-    /// Puts `report` in and returns at once. Refuses more targets than a listener keeps.
+    /// Queues `report` and returns at once. Refuses more targets than a listener keeps.
     pub(crate) fn put(&self, report: FrameReport, now: Instant) -> Result<(), NetworkError> {
         let mut targets = lock(&self.targets);
         for TargetReport { name, .. } in &report.targets {
@@ -53,7 +53,7 @@ impl Outbox {
         lasting.targets.retain(|target| target.state != TrackState::Lost);
         *lock(&self.last) = Some(QueuedReport { report: lasting, since: now });
         let put = self.waiting.put((), QueuedReport { report, since: now });
-        put.map_err(|Closed| NetworkError::Closed)
+        put.map_err(|_| NetworkError::Closed)
     }
 
     /// Waits for the next report to send; none once closed and empty.
@@ -65,7 +65,7 @@ impl Outbox {
         lock(&self.last).clone()
     }
 
-    /// Reports that a newer one replaced before they were sent.
+    /// Number of reports that a newer one replaced before they were sent.
     pub(crate) fn overwritten(&self) -> u64 {
         self.waiting.overwritten()
     }

@@ -1,4 +1,4 @@
-//! How to reach the swarm, and the check of these parameters.
+//! Parameters of the link to the swarm, and their check.
 
 use flockeye_contract::wire::{MAX_FRAME_REPORT_BYTES, MAX_NAME_CHARS, is_name};
 use flockeye_identity::{Member, MemberFiles, Roster};
@@ -10,48 +10,49 @@ use crate::access::access_rules;
 use crate::endpoint::{check_connect, check_each, check_listen, check_protocol};
 use crate::error::NetworkError;
 
-/// What this session is to the others.
+/// The role of this session towards the others.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum NetworkMode {
-    /// Talks to every other peer directly. Drones are peers.
+    /// Connects to every other peer directly. Drones are peers.
     #[default]
     Peer,
-    /// Talks to one router (or peer) only, that of the first `connect` endpoint that answers.
+    /// Connects to one router (or peer) only, at the first `connect` endpoint that answers.
     Client,
     /// Passes messages on between others.
     Router,
 }
 
-/// How to reach the swarm. By default nothing leaves the machine: name the radio's address in
-/// `listen`, and a neighbour in `connect` or set `scout_interface`.
+/// Parameters of the link to the swarm. By default nothing leaves the machine. For a flight, put
+/// the radio's address into `listen`, and a neighbour into `connect`, or set `scout_interface`.
 #[derive(Debug, Clone, PartialEq)]
 pub struct NetworkParameters {
-    /// Name of the swarm; drones of other swarms are not heard. Letters, digits, `-`, `_`, `.`.
+    /// Name of the swarm; messages of other swarms are not received. Letters, digits, `-`, `_`,
+    /// `.`.
     pub swarm: String,
     /// Name of this drone, unique in the swarm.
     pub observer: String,
-    /// What this session is to the others.
+    /// The role of this session towards the others.
     pub mode: NetworkMode,
-    /// Where to accept links: `tcp/ADDRESS:PORT` or `udp/ADDRESS:PORT`, port 0 for any, one
-    /// interface each: its own address, or `tcp/0.0.0.0:PORT#iface=NAME`. Not used by a client.
+    /// Endpoints that accept links: `tcp/ADDRESS:PORT` or `udp/ADDRESS:PORT`, port 0 for any. Each
+    /// is on one interface: its own address, or `tcp/0.0.0.0:PORT#iface=NAME`. Not used by a
+    /// client.
     pub listen: Vec<String>,
     /// Endpoints to connect to: `tcp/HOST:PORT` or `udp/ADDRESS:PORT`. One that does not answer is
-    /// tried again in the background. One of two peers connects to the other.
+    /// retried in the background. Of two peers one connects to the other.
     pub connect: Vec<String>,
-    /// The interface, by name or address, on which peers are looked for by UDP multicast
-    /// (224.0.0.224:7446); none: they are not.
+    /// The interface, by name or address, for the search for peers by UDP multicast
+    /// (224.0.0.224:7446); none: no search.
     pub scout_interface: Option<String>,
-    /// Whether this session only looks on, and is no drone of the swarm: what the drones say of
-    /// `observer`'s clock is then not said of this machine's.
+    /// Whether this session only observes, and is no drone of the swarm. Then the drones' clock
+    /// offsets of `observer` are not those of this machine's clock.
     pub is_onlooker: bool,
-    /// The files by which members of the swarm know each other; none: anybody who can link can say
-    /// anything.
+    /// Files for authentication of the swarm's members; none: messages of any origin are accepted.
     pub security: Option<MemberFiles>,
-    /// How long a link may take to open, milliseconds: several round trips, of which each may be
-    /// lost and sent again after a second (docs/results/constants.md#links-over-a-bad-radio).
+    /// Timeout for opening a link, milliseconds. It covers several round trips, of which each may
+    /// be lost and repeated after a second (docs/results/constants.md#links-over-a-bad-radio).
     pub open_timeout_ms: u64,
-    /// How long a silent neighbour counts as connected, milliseconds.
+    /// Time for which a silent neighbour counts as connected, milliseconds.
     pub lease_ms: u64,
 }
 
@@ -73,7 +74,7 @@ impl Default for NetworkParameters {
 }
 
 impl NetworkParameters {
-    /// Refuses what cannot work, also keys and certificates.
+    /// Refuses parameters, keys and certificates that cannot work.
     ///
     /// # Errors
     /// [`NetworkError::Parameter`], [`NetworkError::Identity`] or [`NetworkError::Another`] names
@@ -83,7 +84,7 @@ impl NetworkParameters {
         self.member().map(drop)
     }
 
-    /// Who this session is to the others; none where anybody can say anything.
+    /// The session's identity; none in a swarm without security.
     pub(crate) fn member(&self) -> Result<Option<Member>, NetworkError> {
         let Some(files) = &self.security else { return Ok(None) };
         let member = Member::load(files, utc_s())?;
@@ -94,7 +95,7 @@ impl NetworkParameters {
             Err(NetworkError::Another { what, found: found.into(), wanted: wanted.into() })
         };
         same("roster's swarm", &member.roster.swarm, &self.swarm)?;
-        // An onlooker says nothing, so it may look on in any member's name.
+        // An onlooker publishes nothing, so it may use any member's certificate.
         if !self.is_onlooker {
             same("certificate's name", &member.certificate.name, &self.observer)?;
         }
@@ -123,12 +124,12 @@ impl NetworkParameters {
         check_range("lease_ms", self.lease_ms, 500, 60_000)
     }
 
-    /// The parameters as Zenoh's configuration, in JSON, where those on `roster` alone may speak.
-    /// Zenoh's `DEFAULT_CONFIG.json5` explains each key.
+    /// The parameters as Zenoh's configuration in JSON, with access for the members on `roster`
+    /// only. Zenoh's `DEFAULT_CONFIG.json5` explains each key.
     pub(crate) fn zenoh_config(&self, roster: Option<&Roster>) -> serde_json::Value {
         let client = self.mode == NetworkMode::Client;
-        // No limit for peers, which connect in the background. A client fails without a router; we
-        // retry ourselves, so that it can be cancelled.
+        // Peers connect in the background without a limit. A client fails without a router, and
+        // retries outside of Zenoh, so that it can be cancelled.
         let connect_timeout_ms = if client { self.open_timeout_ms as i64 } else { -1 };
         let retry = json!({
             "period_init_ms": 500, "period_max_ms": 2_000, "period_increase_factor": 1.5,
@@ -138,8 +139,8 @@ impl NetworkParameters {
         } else {
             &[]
         };
-        // When two drones find each other one of them connects: links that both open at once may
-        // come to carry one way only. Nobody connects to an onlooker.
+        // Only one of two drones connects to the other: two links that open at once may end up as
+        // one-way links. No drone connects to an onlooker.
         let to_peer = if self.is_onlooker { "always" } else { "greater-zid" };
         let strategy = json!({ "peer": { "to_router": "always", "to_peer": to_peer } });
         let mut config = json!({
@@ -157,16 +158,16 @@ impl NetworkParameters {
                 "retry": retry,
             },
             "scouting": {
-                // How long opening waits for the first links, whether or not anybody is there.
+                // Time for which opening waits for the first links, milliseconds.
                 "delay": 200,
                 "multicast": {
                     "enabled": self.scout_interface.is_some(),
                     "interface": self.scout_interface.as_deref().unwrap_or("lo"),
                     "autoconnect_strategy": strategy,
                 },
-                // Whoever is linked with one drone is told of the others. Zenoh may not make a link
-                // again that it made by hearsay, so drones have the links that are configured, or
-                // find each other anew.
+                // Gossip announces all drones to a session that is linked with one. Zenoh may not
+                // restore a link that it made by gossip, so drones use configured links or
+                // multicast.
                 "gossip": {
                     "autoconnect": { "peer": by_hearsay },
                     "autoconnect_strategy": strategy,
@@ -180,16 +181,16 @@ impl NetworkParameters {
                 "link": {
                     "tx": {
                         "lease": self.lease_ms,
-                        // Poses that wait while the radio is stuck are stale when they are sent: so
-                        // one small batch in the queue, and a small socket buffer.
+                        // Poses that wait while the radio is blocked are stale when they are sent.
+                        // So the queue has one small batch, and the socket a small buffer.
                         "batch_size": 8_192,
                         "queue": {
                             "size": { "real_time": 1 },
                             "congestion_control": { "block": { "wait_before_close": 2_000_000 } },
                         },
                     },
-                    // No message here has more than 85 kilobytes; a larger one must not take
-                    // our memory (Zenoh's default is 1 GiB).
+                    // Messages here have at most 85 kilobytes. A larger one must not exhaust the
+                    // memory (Zenoh's default is 1 GiB).
                     "rx": { "max_message_size": 131_072 },
                     "tcp": { "so_sndbuf": SEND_BUFFER_BYTES },
                 },
@@ -198,7 +199,8 @@ impl NetworkParameters {
         });
         if let Some(files) = &self.security {
             config["transport"]["link"]["tls"] = tls_config(files);
-            // An onlooker is told of others' endpoints, by whom it is linked with.
+            // An onlooker receives other endpoints by gossip, so unencrypted protocols are
+            // excluded.
             config["transport"]["link"]["protocols"] = json!(["tls"]);
         }
         if let Some(roster) = roster {
@@ -215,8 +217,8 @@ impl NetworkParameters {
     }
 }
 
-/// The configuration of a router (`zenohd`) of a swarm: it listens on all interfaces, and whoever
-/// has no certificate of the swarm gets no link.
+/// The configuration of a router (`zenohd`) of a swarm. It listens on all interfaces, and refuses
+/// links without a certificate of the swarm.
 pub fn router_config(files: MemberFiles, roster: &Roster) -> serde_json::Value {
     let router = NetworkParameters {
         mode: NetworkMode::Router,
@@ -227,14 +229,13 @@ pub fn router_config(files: MemberFiles, roster: &Roster) -> serde_json::Value {
     router.zenoh_config(Some(roster))
 }
 
-/// What waits here is stale when it is sent.
+/// Size of the socket's send buffer: data that waits there is stale when it is sent.
 const SEND_BUFFER_BYTES: usize = 32_768;
 
-/// A longer message is no report with its signature.
+/// Maximum length of a report with its signature, bytes.
 const MOST_MESSAGE_BYTES: usize = MAX_FRAME_REPORT_BYTES + 4_096;
 
-/// Mutual TLS: each end shows its certificate, and the same one whether it connects or is connected
-/// to.
+/// Mutual TLS: each end presents its certificate, the same for incoming and outgoing links.
 fn tls_config(files: &MemberFiles) -> serde_json::Value {
     json!({
         "root_ca_certificate": files.ca,
@@ -243,8 +244,8 @@ fn tls_config(files: &MemberFiles) -> serde_json::Value {
         "listen_certificate": files.certificate,
         "connect_private_key": files.key,
         "connect_certificate": files.certificate,
-        // Certificates have drones' names, and links have addresses. Who is at the other end is
-        // what the access rules ask.
+        // Certificates contain drones' names, and endpoints have addresses. The access rules check
+        // the name at the other end.
         "verify_name_on_connect": false,
         "close_link_on_expiration": true,
         "so_sndbuf": SEND_BUFFER_BYTES,

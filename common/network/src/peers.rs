@@ -1,4 +1,4 @@
-//! The peers that are alive, and what each of them sees.
+//! The peers that are alive, and their sightings.
 
 use std::{
     collections::BTreeMap,
@@ -11,39 +11,41 @@ use flockeye_identity::Untrusted;
 use crate::clock::ClockEstimate;
 use crate::freshness::{ClockReading, Freshness};
 use crate::refusal::{MAX_OBSERVERS, Refusal, Refused};
-use crate::waiting::Waiting;
+use crate::waiting::is_overdue;
 
-/// What a listener knows at one moment.
+/// A listener's table at one moment.
 #[derive(Debug, Clone, Default)]
 pub struct Peers {
     /// All known observers, by name.
     pub observers: BTreeMap<String, PeerState>,
-    /// Messages refused that belong to none of them: keys that are no Flockeye keys, and observers
-    /// beyond the 64 that are kept.
+    /// Refused messages that belong to none of them: keys without a valid form, and observers
+    /// beyond the maximum of 64.
     pub refused: u64,
-    /// This drone's own name, where it reports too: what the others say of its clock.
+    /// This drone's own name, where it reports too. It selects the peers' estimates of its clock.
     own: Option<String>,
     /// Whether reports are signed.
     is_secure: bool,
 }
 
-/// What is known of one observer.
+/// State of one observer.
 #[derive(Debug, Clone)]
 pub struct PeerState {
     /// Whether its liveliness token exists.
     pub alive: bool,
-    /// When `alive` took its value.
+    /// Time of the last change of `alive`.
     pub since: Instant,
-    /// Whether it has answered the question for its last values, or had its time: from now on
-    /// nothing is missed.
+    /// Whether it has answered the query for its last values, or the query has timed out. From then
+    /// on no report is missing.
     pub is_heard: bool,
     /// The latest report on each target.
     pub targets: BTreeMap<String, LatestSighting>,
-    /// Messages in its name that were refused.
+    /// Refused messages in its name.
     pub refused: Refused,
     freshness: Freshness,
-    /// The wait for its answer, where reports are signed.
-    waiting: Option<Waiting>,
+    /// Whether reports are signed.
+    is_secure: bool,
+    /// Arrival of the first and of the last message since the observer was queried.
+    unanswered: Option<(Instant, Instant)>,
 }
 
 /// The latest report on one target.
@@ -51,22 +53,22 @@ pub struct PeerState {
 pub struct LatestSighting {
     /// The report.
     pub report: Sighting,
-    /// When it came in.
+    /// Time of arrival.
     pub arrived: Instant,
     /// The arrival, CLOCK_MONOTONIC of this machine, nanoseconds.
     pub arrived_monotonic_ns: i64,
-    /// How many reports on this target came in.
+    /// Number of reports on this target.
     pub count: u64,
     interval_s: Option<f64>,
 }
 
 impl LatestSighting {
-    /// How old the pose is at `now`; see [`age_of`].
+    /// Age of the pose at `now`; see [`age_of`].
     pub fn age(&self, now: Instant) -> Duration {
         age_of(self.arrived, self.report.latency_ms, now)
     }
 
-    /// Reports per second, averaged over about the last ten, falling when none comes; none before
+    /// Reports per second, averaged over about the last ten; it falls during silence. None before
     /// the second report.
     pub fn rate_hz(&self, now: Instant) -> Option<f64> {
         let silent_s = now.saturating_duration_since(self.arrived).as_secs_f64();
@@ -74,23 +76,23 @@ impl LatestSighting {
     }
 }
 
-/// Age at `now` of a pose whose report came in at `arrived`: the time since then and the latency
-/// that the sender reports. It needs no common clock, and leaves out the time on the air alone.
+/// Age at `now` of a pose whose report arrived at `arrived`. It is the time since then plus the
+/// latency in the report. It needs no common clock, and omits only the transit time.
 pub fn age_of(arrived: Instant, latency_ms: f64, now: Instant) -> Duration {
-    // A report may hold any number; an invalid one makes the pose old, never young.
+    // The number may be invalid; then it makes the pose old, never young.
     let latency = Duration::try_from_secs_f64(latency_ms.max(0.0) / 1e3).unwrap_or(Duration::MAX);
     now.saturating_duration_since(arrived).saturating_add(latency)
 }
 
-/// How a report came in.
+/// The way in which a report arrived.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Delivery {
     Published,
-    /// The answer to a query, so possibly older than what was published meanwhile.
+    /// The answer to a query, which may be older than published reports.
     LastValue,
 }
 
-/// When and how a message came in.
+/// Time and way of a message's arrival.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Arrival {
     pub(crate) at: Instant,
@@ -99,13 +101,13 @@ pub(crate) struct Arrival {
 }
 
 impl Peers {
-    /// The table of a listener that belongs to the drone `own`, or to none. A secure one takes in
-    /// signed messages alone.
+    /// The table of a listener that belongs to the drone `own`, or to none. With `is_secure` it
+    /// accepts only signed messages.
     pub(crate) fn of(own: Option<String>, is_secure: bool) -> Self {
         Self { own, is_secure, ..Self::default() }
     }
 
-    /// Counts a message in the name of `observer` that is not signed by it.
+    /// Counts a message in the name of `observer` that lacks its signature.
     pub(crate) fn refuse(
         &mut self,
         observer: &str,
@@ -117,7 +119,7 @@ impl Peers {
             return untrusted.into();
         };
         let refusal = match untrusted {
-            // Its certificate comes with its answer.
+            // Its certificate arrives with its answer.
             Untrusted::NotKnown if peer.must_answer(&arrival.time) => peer.unanswered(arrival.at),
             other => other.into(),
         };
@@ -125,8 +127,8 @@ impl Peers {
         refusal
     }
 
-    /// Takes in a message; the sightings in it. None where an answer to a query is older than what
-    /// is held.
+    /// Takes a message and returns its sightings. It is empty where an answer to a query is older
+    /// than the table.
     pub(crate) fn take(
         &mut self,
         key: &str,
@@ -158,20 +160,21 @@ impl Peers {
         if peer.alive != alive {
             (peer.alive, peer.since) = (alive, now);
             peer.is_heard &= alive;
-            // Whoever comes back may have been restarted with another clock.
+            // An observer that returns may have been restarted with another clock.
             peer.freshness = Freshness::default();
         }
         true
     }
 
-    /// Notes that `observer` has answered.
+    /// Notes that the query to `observer` is over.
     pub(crate) fn set_heard(&mut self, observer: &str) {
         if let Some(peer) = self.observers.get_mut(observer) {
             peer.is_heard = peer.alive;
         }
     }
 
-    /// How each clock differs from this machine's, whose UTC is so far ahead of CLOCK_MONOTONIC.
+    /// Offset of each living observer's clock, where this machine's UTC is `utc_less_monotonic_ns`
+    /// ahead of CLOCK_MONOTONIC.
     pub fn clocks(&self, utc_less_monotonic_ns: i64) -> BTreeMap<String, ClockEstimate> {
         let estimates = self.observers.iter().filter(|(_, peer)| peer.alive);
         estimates
@@ -179,12 +182,12 @@ impl Peers {
             .collect()
     }
 
-    /// The entry of `observer`, made where there is room.
+    /// The entry of `observer`; a new one is created where there is room.
     fn peer(&mut self, observer: &str, now: Instant) -> Option<&mut PeerState> {
         if !self.observers.contains_key(observer) && self.observers.len() == MAX_OBSERVERS {
             return None;
         }
-        let waiting = self.is_secure.then(Waiting::default);
+        let is_secure = self.is_secure;
         Some(self.observers.entry(observer.into()).or_insert_with(|| PeerState {
             alive: false,
             since: now,
@@ -192,13 +195,15 @@ impl Peers {
             targets: BTreeMap::new(),
             refused: Refused::default(),
             freshness: Freshness::default(),
-            waiting,
+            is_secure,
+            unanswered: None,
         }))
     }
 }
 
 impl PeerState {
-    /// How its clock differs from this machine's, whose UTC is so far ahead of CLOCK_MONOTONIC.
+    /// Offset of its clock, where this machine's UTC is `utc_less_monotonic_ns` ahead of
+    /// CLOCK_MONOTONIC.
     pub fn clock(&self, utc_less_monotonic_ns: i64) -> Option<ClockEstimate> {
         self.freshness.way.estimate(utc_less_monotonic_ns)
     }
@@ -229,9 +234,9 @@ impl PeerState {
         }
     }
 
-    /// Passes what was published if it is of now. An answer to a query is older by nature: it only
-    /// ever fills what is empty, or replaces what is older. Where reports are signed it is one to a
-    /// question of now, and nothing is taken from an observer that has not answered.
+    /// Accepts a published report if it is fresh. An answer to a query is older by nature, so it
+    /// only fills gaps or replaces older data. Where reports are signed, an observer must answer a
+    /// recent query before its reports are accepted.
     fn pass(&mut self, report: &FrameReport, arrival: &Arrival) -> Result<(), Refusal> {
         let sent_utc_ns = report.sent_utc_ns();
         match arrival.delivery {
@@ -242,7 +247,7 @@ impl PeerState {
                 self.freshness.pass(sent_utc_ns, report.clock_synchronised, &arrival.time)?;
             }
             Delivery::LastValue if self.must_answer(&arrival.time) => {
-                self.waiting = Some(Waiting::default());
+                self.unanswered = None;
                 self.freshness.begin(sent_utc_ns, &arrival.time);
             }
             Delivery::LastValue => self.freshness.note(sent_utc_ns),
@@ -250,14 +255,15 @@ impl PeerState {
         Ok(())
     }
 
-    /// Whether reports are signed, and it was silent, so that what comes now may be recorded.
+    /// Whether the observer must answer a query first. This holds for signed reports after a
+    /// silence, because they may be replays.
     fn must_answer(&self, now: &ClockReading) -> bool {
-        self.waiting.is_some() && self.freshness.begins_anew(now)
+        self.is_secure && self.freshness.begins_anew(now)
     }
 
-    /// Why nothing is taken from an observer that has not answered.
+    /// The refusal of a message from an observer that has not answered.
     fn unanswered(&mut self, now: Instant) -> Refusal {
-        if self.waiting.get_or_insert_default().is_overdue(now) {
+        if is_overdue(&mut self.unanswered, now) {
             Refusal::NotAnswered
         } else {
             Refusal::NotYetAnswered
@@ -284,7 +290,8 @@ impl PeerState {
         {
             return Ok(None);
         }
-        // A frame is reported again when more of it is known; that is no news of this target.
+        // A frame is reported again when more targets of it are known; that is nothing new for this
+        // target.
         let is_same = (report.epoch, report.frame) == (held.report.epoch, held.report.frame);
         if !is_same {
             let interval_s = arrival.at.saturating_duration_since(held.arrived).as_secs_f64();
@@ -300,7 +307,7 @@ impl PeerState {
     }
 }
 
-/// The report in `payload`, which must be of `observer`.
+/// Reads the report in `payload`, which must be by `observer`.
 fn read_frame(payload: &[u8], observer: &str) -> Result<FrameReport, Refusal> {
     let report = FrameReport::from_json(payload)?;
     if report.observer != observer {

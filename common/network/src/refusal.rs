@@ -1,27 +1,27 @@
-//! Why messages are refused, and how many.
+//! Reasons for refusing messages, and their counters.
 
 use flockeye_contract::wire::{MAX_TARGETS, WireError};
 use flockeye_identity::Untrusted;
 
 pub(crate) const MAX_OBSERVERS: usize = 64;
 
-/// How many messages in an observer's name were refused, and why.
+/// Numbers of refused messages in an observer's name, by reason.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Refused {
-    /// Messages that are no report, reports in another's name, and more targets than are kept.
+    /// Messages that are not reports, reports in another's name, and targets beyond the maximum.
     pub malformed: u64,
-    /// Reports that were held up on the way for too long.
+    /// Reports that were delayed for too long.
     pub stale: u64,
-    /// Reports that claim a time to come.
+    /// Reports with a future time.
     pub future: u64,
-    /// Reports that were sent before.
+    /// Reports that were received before.
     pub replayed: u64,
-    /// Reports that are not signed by a member of this name, or by one that does not answer.
+    /// Reports that are not signed by the member of this name, or by one that does not answer.
     pub untrusted: u64,
 }
 
 impl Refused {
-    /// All of them.
+    /// The sum of all counters.
     pub fn total(&self) -> u64 {
         self.malformed + self.stale + self.future + self.replayed + self.untrusted
     }
@@ -32,7 +32,7 @@ impl Refused {
             Refusal::Future { .. } => &mut self.future,
             Refusal::Replayed { .. } => &mut self.replayed,
             Refusal::Untrusted(_) | Refusal::NotAnswered => &mut self.untrusted,
-            // It is asked for an answer, and heard from then on.
+            // The observer is queried, and its reports are accepted after its answer.
             Refusal::NotYetAnswered | Refusal::Overtaken => return,
             _ => &mut self.malformed,
         };
@@ -40,7 +40,7 @@ impl Refused {
     }
 }
 
-/// Why a message was refused.
+/// The reason why a message was refused.
 #[derive(Debug, thiserror::Error)]
 pub enum Refusal {
     #[error("no key of a report: names are letters, digits, '-', '_' or '.'")]
@@ -58,7 +58,7 @@ pub enum Refusal {
     Overtaken,
     #[error("sent {older_ms} ms before one that is here already, or said twice")]
     Replayed { older_ms: i64 },
-    /// Not signed by the observer that the key names.
+    /// The observer in the key has not signed it.
     #[error(transparent)]
     Untrusted(#[from] Untrusted),
     #[error("its observer is asked whether it is there")]
@@ -77,7 +77,7 @@ impl Refusal {
         matches!(self, Self::NotYetAnswered | Self::Overtaken)
     }
 
-    /// A name of the reason, for the throttle of its warnings.
+    /// The name of the reason, by which warnings are throttled.
     pub(crate) fn reason(&self) -> &'static str {
         match self {
             Self::Key => "key",

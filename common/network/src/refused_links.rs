@@ -1,20 +1,20 @@
 //! Links that Zenoh has refused, because the other end showed no certificate of the swarm. Zenoh
-//! tells its log alone of them, so the log is listened to.
+//! reports them only in its log, so its log lines are captured.
 
 use std::sync::{Arc, OnceLock};
 
 use flockeye_runtime::logs::{Overheard, overhear};
 
-/// How Zenoh's line ends whatever the reason was.
+/// End of Zenoh's log line, the same for every reason.
 const HINT: &str = ". Hint: increase the system open file limit.";
 
-/// How many links this process has refused, and why it refused the last one.
+/// Number of links that this process has refused, and the reason for the last refusal.
 pub(crate) fn refused_links() -> (u64, String) {
     let (count, line) = log().heard();
     (count, line.strip_suffix(HINT).unwrap_or(&line).to_owned())
 }
 
-/// Begins to listen; all sessions of a process share it.
+/// Starts to capture the log lines, once for all sessions of a process.
 pub(crate) fn log() -> &'static Arc<Overheard> {
     static LOG: OnceLock<Arc<Overheard>> = OnceLock::new();
     LOG.get_or_init(|| overhear("zenoh_link_tls", HINT))

@@ -1,4 +1,4 @@
-//! Publishes where this drone sees its neighbours.
+//! Publishes this drone's sightings of its neighbours.
 
 use std::{
     sync::{
@@ -24,23 +24,23 @@ use crate::connection::{Connection, spawn};
 use crate::error::NetworkError;
 use crate::outbox::{Outbox, QueuedReport};
 
-/// Time from one signature that carries the certificate to the next.
+/// Time between two signatures that carry the certificate.
 const CERTIFICATE_PERIOD: Duration = Duration::from_secs(1);
 
-/// Publishes that this drone is alive and where it sees its neighbours, until dropped.
+/// Publishes that this drone is alive, and its sightings of neighbours, until dropped.
 ///
-/// [`report`](Self::report) queues a report and returns; a separate thread hands it to Zenoh. So a
-/// stalled network never blocks the caller: a newer report replaces one that waits.
+/// [`report`](Self::report) queues a report and returns; a separate thread passes it to Zenoh. So a
+/// blocked network never blocks the caller: a newer report replaces one that waits.
 #[derive(Debug)]
 pub struct Reporter {
     publication: Arc<Publication>,
     thread: Option<JoinHandle<()>>,
 }
 
-/// How many messages were sent, replaced and refused.
+/// Numbers of messages that were sent, replaced and refused.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct SendCounters {
-    /// Handed to Zenoh, which may still drop them on a congested link.
+    /// Passed to Zenoh, which may still drop them on a congested link.
     pub sent: u64,
     /// Replaced by a newer message before they were sent.
     pub overwritten: u64,
@@ -48,7 +48,7 @@ pub struct SendCounters {
     pub failed: u64,
 }
 
-/// What is published, which the caller, the thread that sends and the answers to queries share.
+/// State that the caller, the sending thread and the answers to queries share.
 #[derive(Debug)]
 struct Publication {
     swarm: String,
@@ -79,8 +79,8 @@ impl Reporter {
         Ok(Self { publication, thread: Some(thread) })
     }
 
-    /// Sends `report` as soon as the network takes it, unless a newer one comes first. Returns at
-    /// once. Its lost targets are sent too, but do not answer later queries.
+    /// Sends `report` as soon as the network accepts it, unless a newer one comes first. Returns at
+    /// once. Its lost targets are sent too, but are not part of answers to later queries.
     ///
     /// # Errors
     /// [`NetworkError::Name`], [`NetworkError::Report`] and [`NetworkError::TooManyTargets`] for a
@@ -95,7 +95,7 @@ impl Reporter {
         put
     }
 
-    /// How many reports were sent, replaced and refused.
+    /// Numbers of reports that were sent, replaced and refused.
     pub fn counters(&self) -> SendCounters {
         SendCounters {
             sent: self.publication.sent.load(Relaxed),
@@ -106,8 +106,8 @@ impl Reporter {
 }
 
 impl Drop for Reporter {
-    /// Sends what is waiting, then withdraws the liveliness token. On a stalled link this may take
-    /// two seconds, after which Zenoh closes the link.
+    /// Sends the waiting report, then withdraws the liveliness token. On a blocked link this may
+    /// take two seconds, after which Zenoh closes the link.
     fn drop(&mut self) {
         self.publication.outbox.close();
         if let Some(thread) = self.thread.take()
@@ -119,7 +119,7 @@ impl Drop for Reporter {
 }
 
 impl Publication {
-    /// Refuses what a listener would.
+    /// Refuses a report that a listener would refuse.
     fn check(&self, report: &FrameReport) -> Result<(), NetworkError> {
         if report.observer != self.observer {
             let (found, own) = (report.observer.clone(), self.observer.clone());
@@ -134,13 +134,14 @@ impl Publication {
         if let Err(error) = self.serve(&session) {
             tracing::error!("reports no longer reach the network: {error}");
         }
-        // From here on errors are returned to the caller.
+        // The closed outbox returns errors to the caller from now on.
         self.outbox.close();
     }
 
     fn serve(self: &Arc<Self>, session: &Session) -> zenoh::Result<()> {
         let key = frame_key(&self.swarm, &self.observer);
-        // Drones that join later query when they see the token, so the queryable is declared first.
+        // Drones that join later send a query when they receive the token, so the queryable is
+        // declared first.
         let answerer = self.clone();
         let _last_value = session
             .declare_queryable(key.as_str())
@@ -172,7 +173,7 @@ impl Publication {
         Ok(())
     }
 
-    /// Sends a report, with the certificate where that was not sent for a while.
+    /// Sends a report, with the certificate once per period.
     fn send(
         &self,
         publisher: &Publisher<'_>,
@@ -207,14 +208,14 @@ impl Publication {
             query.reply(key, json).encoding(Encoding::APPLICATION_JSON).attachment(seal).wait()
         });
         if let Err(error) = sent {
-            // The asking drone has left or asks again; nothing here depends on the answer.
+            // The drone has left or will repeat the query; nothing here depends on the answer.
             tracing::debug!("a query for {key} was not answered: {error}");
         }
     }
 }
 
-/// What the answer is signed for. Without a challenge, or for that of what is published, it is not
-/// signed: somebody could pass it on as a publication.
+/// The challenge for which the answer is signed. An answer without one, or with that of published
+/// reports, is not signed: an attacker could pass it on as a publication.
 fn challenge_in(query: &Query) -> Option<Challenge> {
     let challenge = Challenge::try_from(&*query.attachment()?.to_bytes()).ok()?;
     (challenge != Challenge::default()).then_some(challenge)

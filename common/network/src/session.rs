@@ -1,4 +1,4 @@
-//! The session as the rest of the program sees it.
+//! The session's interface for the rest of the program.
 
 use std::sync::Arc;
 
@@ -24,13 +24,13 @@ pub struct Network {
 
 impl Network {
     /// Opens a session. Peers and routers are ready on return, within a few hundred milliseconds,
-    /// even if there is no other drone. A client needs its router: if there is none yet, it keeps
-    /// trying in the background. Lost links are restored in the background too.
+    /// even without any other drone. A client needs its router, and retries in the background until
+    /// it is there. Lost links are restored in the background too.
     ///
     /// # Errors
     /// [`NetworkError::Parameter`], [`NetworkError::Listen`], [`NetworkError::Identity`] and
-    /// [`NetworkError::Another`] say what to change. An address of
-    /// an interface that is not up yet is no error: it is listened on once it is there.
+    /// [`NetworkError::Another`] contain the cure. An address of an interface that is not up yet is
+    /// no error: Zenoh retries it.
     pub fn open(parameters: &NetworkParameters) -> Result<Self, NetworkError> {
         parameters.check_values()?;
         let member = parameters.member()?.map(Arc::new);
@@ -66,21 +66,20 @@ impl Network {
         Listener::start(self.connection.clone(), &self.swarm, own, trust)
     }
 
-    /// How many links were refused, by all sessions of this process, because the other end showed
-    /// no certificate of the swarm, and why the last one was. Zero where
+    /// Number of links that all sessions of this process refused, and the reason for the last
+    /// refusal. The other end showed no certificate of the swarm. Zero where
     /// [`flockeye_runtime::logs::init`] was not called.
     pub fn refused_links(&self) -> (u64, String) {
         refused_links::refused_links()
     }
 
-    /// When this session's certificate expires, seconds since 1970-01-01 UTC; none where it has
-    /// none.
+    /// Expiry of this session's certificate, seconds since 1970-01-01 UTC; none without a
+    /// certificate.
     pub fn expires_s(&self) -> Option<i64> {
         self.member.as_ref().map(|member| member.certificate.not_after_s)
     }
 
-    /// Whether the session is open. Only a client can be without one, while it looks for its
-    /// router.
+    /// Whether the session is open. Only a client can lack one, while it waits for its router.
     pub fn is_open(&self) -> bool {
         self.connection.is_open()
     }

@@ -1,4 +1,4 @@
-//! Reports one by one, for readers that want each of them and not only the latest.
+//! A stream of reports, for readers that need each report and not only the latest.
 
 use std::{
     collections::VecDeque,
@@ -11,7 +11,7 @@ use serde::Serialize;
 
 use flockeye_runtime::lock::lock;
 
-/// One report as it came in.
+/// One report with its times on this machine's clock.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct TimedSighting {
     /// Arrival, CLOCK_MONOTONIC of this machine, nanoseconds.
@@ -19,13 +19,13 @@ pub struct TimedSighting {
     /// Mid-exposure on this machine's CLOCK_MONOTONIC, by the estimate of the observer's clock,
     /// nanoseconds.
     pub exposure_monotonic_ns: i64,
-    /// Standard deviation of that, nanoseconds.
+    /// Standard deviation of the exposure time, nanoseconds.
     pub exposure_deviation_ns: i64,
     /// The report.
     pub report: Sighting,
 }
 
-/// A bounded queue of reports. A reader that falls behind loses the oldest, and can see how many.
+/// A bounded queue of reports. A slow reader loses the oldest; their number is counted.
 #[derive(Debug)]
 pub struct ReportStream {
     capacity: usize,
@@ -41,7 +41,7 @@ struct State {
 }
 
 impl ReportStream {
-    /// The next report, or none when none came within `timeout` or the listener is gone.
+    /// Waits for the next report; none after `timeout`, or when the listener is dropped.
     pub fn recv_timeout(&self, timeout: Duration) -> Option<TimedSighting> {
         let deadline = Instant::now() + timeout;
         let mut state = lock(&self.state);
@@ -60,17 +60,17 @@ impl ReportStream {
         }
     }
 
-    /// The next report, if one is there.
+    /// The next report, if one waits.
     pub fn try_recv(&self) -> Option<TimedSighting> {
         lock(&self.state).reports.pop_front()
     }
 
-    /// How many reports this reader was too slow for.
+    /// Number of reports that were dropped because this reader was too slow.
     pub fn dropped(&self) -> u64 {
         lock(&self.state).dropped
     }
 
-    /// Whether the listener is gone and every report has been read.
+    /// Whether the listener is dropped and every report has been read.
     pub fn is_over(&self) -> bool {
         let state = lock(&self.state);
         state.closed && state.reports.is_empty()
@@ -95,7 +95,7 @@ impl Streams {
         stream
     }
 
-    /// Hands `heard` to every stream that still has a reader.
+    /// Adds `heard` to every stream that still has a reader.
     pub(crate) fn send(&self, heard: &TimedSighting) {
         lock(&self.streams).retain(|stream| {
             let Some(stream) = stream.upgrade() else { return false };
@@ -110,7 +110,7 @@ impl Streams {
         });
     }
 
-    /// Tells every reader that nothing more will come.
+    /// Closes every stream.
     pub(crate) fn close(&self) {
         for stream in lock(&self.streams).drain(..).filter_map(|stream| stream.upgrade()) {
             lock(&stream.state).closed = true;

@@ -1,4 +1,4 @@
-//! From this machine's monotonic clock to UTC.
+//! Conversion from this machine's monotonic clock to UTC.
 
 use std::path::Path;
 
@@ -6,7 +6,7 @@ use flockeye_runtime::clock::monotonic_ns;
 use rustix::time::{ClockId, Timespec, clock_gettime};
 
 /// systemd-timesyncd creates this file when it has set the clock, and `systemd-time-wait-sync`
-/// waits for it. `docs/PEERS.md` says how chrony and PTP create it too.
+/// waits for it. `docs/PEERS.md` describes how chrony and PTP create it too.
 const SYNCHRONISED: &str = "/run/systemd/timesync/synchronized";
 
 /// Now, on this machine's CLOCK_MONOTONIC, nanoseconds.
@@ -14,14 +14,14 @@ pub fn monotonic_now_ns() -> i64 {
     monotonic_ns()
 }
 
-/// UTC of an instant on CLOCK_MONOTONIC, nanoseconds since the Unix epoch, and whether this
-/// machine's clock is known to be synchronised with UTC. Unknown counts as no.
+/// Converts an instant on CLOCK_MONOTONIC to UTC, nanoseconds since the Unix epoch. Also returns
+/// whether this machine's clock is known to be synchronised with UTC. Unknown counts as no.
 pub fn utc_from_monotonic(exposure_monotonic_ns: i64) -> (i64, bool) {
     let before = monotonic_ns();
     let utc_now = nanoseconds(clock_gettime(ClockId::Realtime));
     let after = monotonic_ns();
-    // The thread may have been suspended between two readings; the middle errs by half of that
-    // time.
+    // The thread may have been suspended between two readings; the middle is off by at most half of
+    // that time.
     let monotonic_now = before + (after - before) / 2;
     (utc_at(exposure_monotonic_ns, monotonic_now, utc_now), Path::new(SYNCHRONISED).exists())
 }

@@ -6,21 +6,21 @@ use flockeye_network::{
     LatestSighting, Listener, Network, NetworkError, NetworkParameters, Peers, ReportStream,
 };
 
-/// Reports that may wait to be read.
+/// Maximum reports that wait to be read.
 const WAITING: usize = 1_024;
 
-/// Hears a swarm, and says nothing itself.
+/// Receives the reports of a swarm, and publishes nothing.
 #[derive(Debug)]
 pub struct Client {
     listener: Listener,
 }
 
 impl Client {
-    /// Links with `endpoints` (`tcp/10.0.0.7:7447`): drones or routers, found again whenever a link
-    /// breaks. Returns at once, also while none of them is there.
+    /// Connects to `endpoints` (`tcp/10.0.0.7:7447`), which are drones or routers, again whenever a
+    /// link breaks. Returns at once, even while none of them is there.
     ///
     /// # Errors
-    /// An endpoint or the name cannot be one, or no session can be opened.
+    /// An endpoint or the name is invalid, or no session can be opened.
     pub fn connect(endpoints: &[&str], swarm: &str) -> Result<Self, NetworkError> {
         let parameters = NetworkParameters {
             swarm: swarm.into(),
@@ -32,7 +32,7 @@ impl Client {
         Self::open(&parameters)
     }
 
-    /// Links as the parameters say.
+    /// Connects with these parameters.
     ///
     /// # Errors
     /// As [`connect`](Self::connect).
@@ -40,13 +40,13 @@ impl Client {
         Ok(Self { listener: Network::open(parameters)?.listener()? })
     }
 
-    /// Every report from now on, one by one ([`PeerReport`](crate::PeerReport) has its types). A
-    /// reader that falls behind loses the oldest.
+    /// A stream of every report from now on ([`PeerReport`](crate::PeerReport) has its types). A
+    /// slow reader loses the oldest.
     pub fn reports(&self) -> Arc<ReportStream> {
         self.listener.stream(WAITING)
     }
 
-    /// What is known of all drones: who is alive, what each sees, whose messages were refused.
+    /// The table of all drones: those that are alive, their sightings, and refused messages.
     pub fn peers(&self) -> Peers {
         self.listener.snapshot()
     }

@@ -1,8 +1,9 @@
-//! Hear a swarm from a Rust program, with types in place of JSON.
+//! Reports of a swarm for Rust programs, with types in place of JSON.
 //!
-//! - [`Client`] links with the drones and hears all their reports.
-//! - [`PeerReport`] is one report on one target: poses and covariances as `nalgebra` has them, and its age.
-//! - [`SwarmView`] combines all reports into where each drone is from one of them.
+//! - [`Client`] connects to the drones and receives all their reports.
+//! - [`PeerReport`] is one report on one target: poses and covariances as `nalgebra` types, and its
+//!   age.
+//! - [`SwarmView`] combines all reports into the poses of all drones relative to one of them.
 //!
 //! ```
 //! use std::time::Duration;

@@ -10,40 +10,40 @@ use nalgebra::Vector3;
 
 use crate::uncertain_pose::UncertainPose;
 
-/// One drone's sighting of another, of a report that passed all checks.
+/// One drone's sighting of another, from a report that passed all checks.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PeerReport {
-    /// The drone that sees.
+    /// Name of the drone with the camera.
     pub observer: String,
-    /// The drone that is seen.
+    /// Name of the drone in its picture.
     pub target: String,
-    /// The camera frame's epoch and number, as the observer counts.
+    /// Epoch and number of the observer's camera frame.
     pub frame: (u32, u64),
     /// State of the track.
     pub state: TrackState,
-    /// What this frame's measurement rests on.
+    /// Method of this frame's measurement.
     pub measured_by: MeasuredBy,
     /// Filtered pose of the target in the observer's frame (x forward, y left, z up), and its
     /// covariance there.
     pub observer_from_target: UncertainPose,
-    /// This frame's own measurement of it, where the report has one.
+    /// This frame's own measurement of that pose, where the report has one.
     pub measured: Option<UncertainPose>,
     /// Velocity relative to the observer, along its axes, m/s.
     pub velocity: Vector3<f64>,
-    /// Angular velocity, the same, rad/s.
+    /// Angular velocity relative to the observer, along its axes, rad/s.
     pub rate: Vector3<f64>,
-    /// In which directions next to nothing is known.
+    /// Directions in which the pose is nearly unknown.
     pub degenerate: Option<Degenerate>,
-    /// Mid-exposure on this machine's CLOCK_MONOTONIC, nanoseconds, by the estimate of the
-    /// observer's clock.
+    /// Mid-exposure on this machine's CLOCK_MONOTONIC, by the estimate of the observer's clock,
+    /// nanoseconds.
     pub exposure_monotonic_ns: i64,
-    /// Standard deviation of that, nanoseconds.
+    /// Standard deviation of the exposure time, nanoseconds.
     pub exposure_deviation_ns: i64,
 }
 
 impl PeerReport {
-    /// What a drone's own pipeline says of a target, on the local topic `track`, of an exposure on
-    /// CLOCK_MONOTONIC. `None` for a track with codes that are none.
+    /// A report from the local topic `track` of a drone's own pipeline, with the exposure on
+    /// CLOCK_MONOTONIC. `None` for a track with unknown codes.
     pub fn of_track(
         observer: &str,
         stamp: &FrameStamp,
@@ -73,15 +73,15 @@ impl PeerReport {
         })
     }
 
-    /// How old the pose is, from the middle of the exposure to now.
+    /// Age of the pose, from the middle of the exposure to now.
     pub fn age(&self) -> Duration {
         let age_ns =
             flockeye_network::monotonic_now_ns().saturating_sub(self.exposure_monotonic_ns);
         Duration::from_nanos(u64::try_from(age_ns).unwrap_or(0))
     }
 
-    /// The observer's pose as its target has it: for a target that is oneself, the peer's pose from
-    /// here.
+    /// The observer's pose in its target's frame: for a sighting of this drone, the peer's pose in
+    /// this drone's frame.
     pub fn target_from_observer(&self) -> UncertainPose {
         self.observer_from_target.inverse()
     }

@@ -1,16 +1,16 @@
-//! Where all drones of a swarm are, by what each of them sees of the others.
+//! Poses of all drones of a swarm, from their sightings of each other.
 //!
 //! | module | what it does |
 //! | --- | --- |
-//! | [`replay`] | a filter whose measurements may come late and out of order |
-//! | [`graph`] | poses of all drones from the pairs that see each other, by least squares |
-//! | [`honesty`] | whose sightings contradict the others' |
-//! | [`view`] | all of that, fed with sightings as they come |
+//! | [`replay`] | a filter for measurements that arrive late and out of order |
+//! | [`graph`] | poses of all drones from pairwise sightings, by least squares |
+//! | [`honesty`] | detection of observers that contradict the others |
+//! | [`view`] | combines these parts, with sightings as they arrive |
 //!
-//! Each measurement counts once. What two drones measure of each other goes into one filter,
-//! because the errors of measurements are independent. Where only filtered poses are at hand, their
-//! errors share what both filters assume, and covariance intersection combines them. Then each pair
-//! is one edge of a graph, so that a chain and a loop of pairs count each of them once too.
+//! Each measurement counts once. Both drones' measurements of each other go into one filter,
+//! because the errors of measurements are independent. Filtered poses have correlated errors from
+//! shared assumptions, so covariance intersection combines them. Each pair is one edge of a graph,
+//! so chains and loops count each edge once too.
 
 mod graph;
 mod honesty;

@@ -1,8 +1,8 @@
 //! A pose with its covariance.
 //!
 //! The error is (position, rotation vector), both in the axes of `a`: `p_true = p + dp`, `R_true =
-//! exp(dr) R`, as everywhere in this project (Barfoot, "State Estimation for Robotics", section
-//! 7.3, with the perturbation on the left and the position apart).
+//! exp(dr) R`. It is the same everywhere in this project. The perturbation is on the left, and the
+//! position is separate (Barfoot, "State Estimation for Robotics", section 7.3).
 
 use flockeye_geometry::pose::{moved, pose_difference};
 use nalgebra::{Isometry3, Matrix3, Matrix6, Vector6};
@@ -33,7 +33,7 @@ impl UncertainPose {
         Self { a_from_b: b_from_a, covariance: propagated(&jacobian, &self.covariance) }
     }
 
-    /// `a_from_c`, by this and `b_from_c`, whose errors are independent.
+    /// `a_from_c` from this pose and `b_from_c`, whose errors are independent.
     pub fn then(&self, b_from_c: &Self) -> Self {
         let turn = self.a_from_b.rotation.to_rotation_matrix().into_inner();
         let arm = turn * b_from_c.a_from_b.translation.vector;
@@ -46,26 +46,27 @@ impl UncertainPose {
         }
     }
 
-    /// The error that `other` would be if this were the truth, in the axes of a.
+    /// The error of `other` relative to this pose, in the axes of a.
     pub fn difference(&self, other: &Isometry3<f64>) -> Vector6<f64> {
         pose_difference(other, &self.a_from_b)
     }
 
-    /// The pose moved by an error in the axes of a.
+    /// This pose moved by an error in the axes of a.
     pub fn moved(&self, error: &Vector6<f64>) -> Self {
         Self { a_from_b: moved(&self.a_from_b, error), covariance: self.covariance }
     }
 
-    /// Two estimates of one pose whose errors are correlated in an unknown way, as one: covariance
-    /// intersection (Julier and Uhlmann, 1997). Its covariance is never too small, whatever the
-    /// correlation. None if one of the covariances cannot be inverted.
+    /// Combines two estimates of one pose with unknown correlation by covariance intersection
+    /// (Julier and Uhlmann, 1997). Its covariance is never too small, whatever the correlation.
+    /// None if one of the covariances cannot be inverted.
     pub fn intersection(&self, other: &Self) -> Option<Self> {
         let ours = self.covariance.cholesky()?.inverse();
         let theirs = other.covariance.cholesky()?.inverse();
         let at = |share: f64| -> Option<Matrix6<f64>> {
             Some((ours * share + theirs * (1.0 - share)).cholesky()?.inverse())
         };
-        // The determinant of the result is convex in the share: golden-section search.
+        // The determinant of the result is convex in the share, so golden-section search finds its
+        // minimum.
         let ratio = (5f64.sqrt() - 1.0) / 2.0;
         let (mut low, mut high) = (0.0, 1.0);
         for _ in 0..24 {
@@ -84,7 +85,7 @@ impl UncertainPose {
     }
 }
 
-/// The matrix of `top_left`, `top_right`, zero and `bottom_right`.
+/// The block matrix of `top_left`, `top_right`, zero and `bottom_right`.
 pub(crate) fn blocks(
     top_left: &Matrix3<f64>,
     top_right: &Matrix3<f64>,
@@ -99,6 +100,6 @@ pub(crate) fn blocks(
 
 fn propagated(jacobian: &Matrix6<f64>, covariance: &Matrix6<f64>) -> Matrix6<f64> {
     let product = jacobian * covariance * jacobian.transpose();
-    // Rounding need not leave it symmetric.
+    // Rounding may make it asymmetric.
     (product + product.transpose()) / 2.0
 }

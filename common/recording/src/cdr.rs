@@ -1,23 +1,23 @@
-//! The bytes of plain CDR, little-endian, after the four bytes of an encapsulation header (OMG
-//! CORBA 3.4, 9.3; DDSI-RTPS 2.3, 10.2).
+//! Plain CDR, little-endian, after an encapsulation header of four bytes. Sources: OMG CORBA 3.4,
+//! 9.3; DDSI-RTPS 2.3, 10.2.
 
 /// `CDR_LE`, no options.
 const ENCAPSULATION: [u8; 4] = [0x00, 0x01, 0x00, 0x00];
 
-/// Bytes that are being written.
+/// A CDR message that is being written.
 pub(crate) struct CdrWriter {
     bytes: Vec<u8>,
 }
 
 impl CdrWriter {
-    /// Begins a message; it is expected to have so many bytes.
+    /// Begins a message, with memory for `bytes` bytes.
     pub(crate) fn with_capacity(bytes: usize) -> Self {
         let mut all = Vec::with_capacity(bytes + ENCAPSULATION.len());
         all.extend_from_slice(&ENCAPSULATION);
         Self { bytes: all }
     }
 
-    /// Numbers of `size` bytes each, which lie one after the other, little-endian.
+    /// Appends numbers of `size` bytes each: consecutive, little-endian.
     pub(crate) fn numbers(&mut self, size: usize, numbers: &[u8]) {
         if !numbers.is_empty() {
             self.align(size);
@@ -30,32 +30,32 @@ impl CdrWriter {
         self.numbers(4, &number.to_le_bytes());
     }
 
-    /// A length of a sequence or text.
+    /// Appends the length of a sequence or text.
     pub(crate) fn length(&mut self, length: usize) {
-        // Messages are bounded by the contract, far below 2^32.
+        // The contract limits messages to far less than 2^32 bytes.
         self.u32(u32::try_from(length).unwrap_or(u32::MAX));
     }
 
-    /// A text, with the zero byte behind it that CDR counts.
+    /// Appends a text and its final zero byte, which CDR includes in the length.
     pub(crate) fn text(&mut self, text: &[u8]) {
         self.length(text.len() + 1);
         self.bytes.extend_from_slice(text);
         self.bytes.push(0);
     }
 
-    /// The message.
+    /// The finished message.
     pub(crate) fn finish(self) -> Vec<u8> {
         self.bytes
     }
 
-    /// Alignment counts from after the encapsulation header.
+    /// Pads to a multiple of `size`. CDR counts from the end of the encapsulation header.
     fn align(&mut self, size: usize) {
         let place = self.bytes.len() - ENCAPSULATION.len();
         self.bytes.resize(self.bytes.len() + place.next_multiple_of(size) - place, 0);
     }
 }
 
-/// Bytes that are being read. Everything is bounded by what is there.
+/// A CDR message that is being read. No method reads beyond its end.
 pub(crate) struct CdrReader<'b> {
     bytes: &'b [u8],
     place: usize,
@@ -82,18 +82,18 @@ impl<'b> CdrReader<'b> {
     /// A number of 32 bits.
     pub(crate) fn u32(&mut self) -> Result<u32, String> {
         let bytes = self.numbers(4, 1)?;
-        // `numbers` gives as many bytes as were asked for.
+        // `numbers` returns exactly four bytes.
         Ok(u32::from_le_bytes(bytes.try_into().unwrap_or_default()))
     }
 
-    /// A text, without the zero byte behind it.
+    /// A text, without its final zero byte.
     pub(crate) fn text(&mut self) -> Result<&'b [u8], String> {
         let length = self.u32()? as usize;
         let text = self.take(length)?;
         text.strip_suffix(&[0]).ok_or_else(|| "has a text without its end".to_owned())
     }
 
-    /// What follows, of which there must be no more.
+    /// The bytes that were not read; empty in a valid message.
     pub(crate) fn rest(self) -> &'b [u8] {
         self.bytes.get(self.place..).unwrap_or_default()
     }

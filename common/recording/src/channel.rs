@@ -1,4 +1,4 @@
-//! The channels of a recording: their names, and what their messages are.
+//! The channels of a recording: their names and message types.
 
 use flockeye_ros2::messages::MessageType;
 use flockeye_ros2::{TRANSFORMS, pose_topic};
@@ -9,22 +9,22 @@ use crate::layout::TopicLayout;
 /// A channel.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
 pub struct ChannelKind {
-    /// Its name.
+    /// The channel's name.
     pub topic: String,
-    /// The name of its messages.
+    /// The name of the message type.
     pub message: String,
-    /// Their definition, with all that it needs.
+    /// The definition of the message type, with the types that it contains.
     pub definition: String,
 }
 
 /// Pixels of views, on a channel of its own beside that of the views' headers. Both have the same
 /// sequence numbers.
 pub const VIEW_IMAGES: &str = "/flockeye/view/image";
-/// Pictures of frames. Each stands behind its header.
+/// Pictures of frames. Each follows its header in the file.
 pub const FRAME_IMAGES: &str = "/flockeye/frame/image";
-/// The camera's own packets. Each stands behind its header.
+/// Compressed packets from the camera. Each follows its header in the file.
 pub const FRAME_VIDEO: &str = "/flockeye/frame/video";
-/// What the recording lacks.
+/// Messages that are missing in the recording.
 pub const LOSSES: &str = "/flockeye/recording/loss";
 
 impl ChannelKind {
@@ -42,7 +42,7 @@ impl ChannelKind {
         }
     }
 
-    /// The channel of a neighbour's poses. Both names are those in ROS.
+    /// The channel of a neighbour's poses. Channel and type have the names that they have in ROS.
     pub fn of_poses(observer: &str, target: &str) -> Self {
         let topic = pose_topic(&format!("/{observer}"), target);
         Self::new(&topic, MessageType::PoseWithCovarianceStamped.ros_name(), definition::POSE)
@@ -53,7 +53,7 @@ impl ChannelKind {
         Self::new(TRANSFORMS, MessageType::TfMessage.ros_name(), definition::TRANSFORMS)
     }
 
-    /// The channel of views, pixels as they are.
+    /// The channel of views, with uncompressed pixels.
     pub fn of_view_images() -> Self {
         Self::new(VIEW_IMAGES, "sensor_msgs/msg/Image", definition::IMAGE)
     }
@@ -63,12 +63,12 @@ impl ChannelKind {
         Self::new(FRAME_IMAGES, "sensor_msgs/msg/CompressedImage", definition::COMPRESSED_IMAGE)
     }
 
-    /// The channel of a camera's own packets.
+    /// The channel of compressed packets from the camera.
     pub fn of_frame_video() -> Self {
         Self::new(FRAME_VIDEO, "foxglove_msgs/msg/CompressedVideo", definition::COMPRESSED_VIDEO)
     }
 
-    /// The channel of losses: what the recording lacks.
+    /// The channel of losses: messages that are missing in the recording.
     pub fn of_losses() -> Self {
         Self::new(LOSSES, "flockeye_msgs/msg/Loss", definition::LOSS)
     }

@@ -1,21 +1,21 @@
-//! The records of a chunk. Its sizes and its sum are checked before anything in it is believed.
+//! The records of a chunk. Sizes and checksum are checked before a record is used.
 
 use std::io::Read;
 
 use mcap::records::{ChunkHeader, Record};
 
-/// A chunk that was decompressed, and how far it was read.
+/// A decompressed chunk, and the position of the next record.
 #[derive(Debug, Default)]
 pub(crate) struct Chunk {
     records: Vec<u8>,
     place: usize,
 }
 
-/// Opcode and length.
+/// Size of a record's head, bytes: opcode and length.
 pub(crate) const RECORD_HEAD: usize = 9;
 
 impl Chunk {
-    /// Decompresses a chunk that has `largest` bytes at most.
+    /// Decompresses a chunk. More than `largest` bytes are an error.
     pub(crate) fn of(header: &ChunkHeader, data: &[u8], largest: usize) -> Result<Self, String> {
         let size = usize::try_from(header.uncompressed_size).unwrap_or(usize::MAX);
         if size > largest {
@@ -27,7 +27,7 @@ impl Chunk {
             "zstd" => {
                 let failed = |error: std::io::Error| format!("a chunk cannot be unpacked: {error}");
                 let decoder = zstd::stream::read::Decoder::with_buffer(data).map_err(failed)?;
-                // One byte more shows that there is too much.
+                // One byte more than stated: a chunk that is too large is detected.
                 decoder.take(size as u64 + 1).read_to_end(&mut records).map_err(failed)?;
             }
             other => return Err(format!("a chunk packed by {other:?}, which is not known here")),
@@ -42,12 +42,12 @@ impl Chunk {
         Ok(Self { records, place: 0 })
     }
 
-    /// The next record, if there is one.
+    /// The next record as a copy; `None` at the end.
     pub(crate) fn next_record(&mut self) -> Result<Option<Record<'static>>, String> {
         Ok(self.next_borrowed()?.map(Record::into_owned))
     }
 
-    /// The next record, not copied.
+    /// The next record without a copy; `None` at the end.
     pub(crate) fn next_borrowed(&mut self) -> Result<Option<Record<'_>>, String> {
         let rest = self.records.get(self.place..).unwrap_or_default();
         if rest.is_empty() {

@@ -1,5 +1,5 @@
-//! The definitions of messages as ROS 2 writes them (`ros2msg`): what a message has, then each type
-//! in it.
+//! Message definitions in the form of ROS 2 (`ros2msg`): the fields of a message, then each type
+//! that it contains.
 
 use std::fmt::Write;
 
@@ -7,11 +7,11 @@ use flockeye_contract::description::{Kind, TypeDescription};
 
 use crate::layout::{TopicLayout, numbers_of};
 
-/// What stands between two definitions in one text.
+/// The separator between two definitions in one text.
 const SEPARATOR: &str =
     "================================================================================\n";
 
-/// The definition of a topic's messages, with all that it needs.
+/// The definition of a topic's messages, with the types that they contain.
 pub fn of_topic(layout: &TopicLayout) -> String {
     let mut text = format!("flockeye_msgs/{} header\n", layout.header.name);
     match &layout.item {
@@ -26,7 +26,7 @@ pub fn of_topic(layout: &TopicLayout) -> String {
     text
 }
 
-/// Appends a type and those in it, each once.
+/// Appends a type and the types of its fields, each once.
 fn append(
     text: &mut String,
     layout: &TopicLayout,
@@ -71,7 +71,7 @@ fn ros_number(name: &str) -> &'static str {
     }
 }
 
-/// `builtin_interfaces/msg/Time` and `std_msgs/msg/Header`, which others need.
+/// `builtin_interfaces/msg/Time` and `std_msgs/msg/Header`, which other types contain.
 macro_rules! header {
     () => {
         "================================================================================\n\
@@ -126,7 +126,7 @@ pub const COMPRESSED_VIDEO: &str = "builtin_interfaces/Time timestamp\nstring fr
      ================================================================================\n\
      MSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n";
 
-/// `flockeye_msgs/msg/Loss`: what a recording lacks of a topic, since its beginning.
+/// `flockeye_msgs/msg/Loss`: messages of a topic that are missing since the recording began.
 pub const LOSS: &str = "string topic\nuint64 recorded\nuint64 refused\nuint64 missing\nuint64 buffer_full\n\
      uint64 queue_full\n";
 

@@ -1,8 +1,8 @@
-//! What can go wrong with a recording.
+//! Errors of writing and reading recordings.
 
 use std::path::PathBuf;
 
-/// Why a recording cannot be written or read.
+/// The reason why a recording cannot be written or read.
 #[allow(missing_docs, reason = "the messages say what each is")]
 #[derive(Debug, thiserror::Error)]
 pub enum RecordingError {

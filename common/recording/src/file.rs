@@ -1,5 +1,5 @@
-//! A file that keeps what is whole: a write that fails leaves nothing behind, and room is left for
-//! the end.
+//! A file that always contains whole records. A failed write is undone, and disk space is reserved
+//! for the index.
 
 use std::fs::{File, OpenOptions};
 use std::io::{Seek, SeekFrom, Write};
@@ -9,11 +9,11 @@ use rustix::fs::{FlockOperation, fdatasync, flock, fstatvfs};
 
 use crate::error::RecordingError;
 
-/// Space of the disk that is left free: the file's own index goes there, and a full disk harms
-/// others.
+/// Disk space that is left free, bytes. The file's index needs it, and a full disk stops other
+/// programs.
 const RESERVE_BYTES: u64 = 16_000_000;
 
-/// Free room is looked at each time so many bytes were written.
+/// The free disk space is checked each time this many bytes were written.
 const LOOK_EACH: u64 = 1_000_000;
 
 /// A file that one process writes.
@@ -21,16 +21,16 @@ const LOOK_EACH: u64 = 1_000_000;
 pub struct RecordingFile {
     path: PathBuf,
     file: File,
-    /// Bytes that are whole.
+    /// Size of the whole records, bytes.
     bytes: u64,
-    /// At so many bytes the free room is looked at again.
+    /// File size at which the free disk space is checked again, bytes.
     look_at: u64,
-    /// Space of the disk that is left free.
+    /// Disk space that is left free, bytes.
     reserve_bytes: u64,
 }
 
 impl RecordingFile {
-    /// Creates it, for this process alone.
+    /// Creates the file and locks it for this process.
     ///
     /// # Errors
     /// [`RecordingError::Locked`], [`RecordingError::Exists`] or [`RecordingError::File`].
@@ -51,17 +51,17 @@ impl RecordingFile {
         Ok(Self { path, file, bytes: 0, look_at: 0, reserve_bytes: RESERVE_BYTES })
     }
 
-    /// Leaves so much of the disk free from now on.
+    /// Sets the disk space that is left free.
     pub fn leave_free(&mut self, bytes: u64) {
         (self.reserve_bytes, self.look_at) = (bytes, 0);
     }
 
-    /// Its path.
+    /// The path of the file.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// Bytes in it.
+    /// The size of the file, bytes.
     pub fn bytes(&self) -> u64 {
         self.bytes
     }
@@ -69,7 +69,7 @@ impl RecordingFile {
     /// Appends bytes, all of them or none.
     ///
     /// # Errors
-    /// [`RecordingError::DiskFull`] while there still is room for the end;
+    /// [`RecordingError::DiskFull`] while the reserved space is still free;
     /// [`RecordingError::File`].
     pub fn append(&mut self, bytes: &[u8]) -> Result<(), RecordingError> {
         let end = self.bytes + bytes.len() as u64;
@@ -84,20 +84,20 @@ impl RecordingFile {
         self.append_last(bytes)
     }
 
-    /// Appends to the end of the file, also into the room that is left for it.
+    /// Appends the last bytes. They may use the reserved disk space.
     pub fn append_last(&mut self, bytes: &[u8]) -> Result<(), RecordingError> {
         let Err(error) = self.file.write_all(bytes) else {
             self.bytes += bytes.len() as u64;
             return Ok(());
         };
-        // Half a record would stand before nothing: what is whole is kept.
-        // If even that fails, readers find half a record at the end and leave it out.
+        // Removes an incomplete record. If that fails too, readers skip the incomplete record at
+        // the end.
         let restored = self.file.set_len(self.bytes);
         drop(restored.and_then(|()| self.file.seek(SeekFrom::Start(self.bytes))));
         Err(RecordingError::File { path: self.path.clone(), error })
     }
 
-    /// Waits until the disk has it.
+    /// Waits until the bytes are on the disk.
     pub fn sync(&self) -> Result<(), RecordingError> {
         fdatasync(&self.file)
             .map_err(|error| RecordingError::File { path: self.path.clone(), error: error.into() })

@@ -1,5 +1,4 @@
-//! Pictures as ROS 2 messages. Their bytes are written at once and not one by one, because there
-//! are many.
+//! Pictures as ROS 2 messages. Their bytes are copied as one block, because there are many.
 
 use flockeye_ros2::messages::Time;
 
@@ -25,7 +24,7 @@ fn header(cdr: &mut CdrWriter, stamp: Time, frame: &str) {
     cdr.text(frame.as_bytes());
 }
 
-/// `sensor_msgs/msg/Image` of a picture as it is. `frame` names the camera.
+/// `sensor_msgs/msg/Image` of an uncompressed picture. `frame` is the name of the camera frame.
 pub fn encode_image(stamp: Time, frame: &str, image: &Image<'_>) -> Vec<u8> {
     let mut cdr = CdrWriter::with_capacity(image.pixels.len() + 128);
     header(&mut cdr, stamp, frame);
@@ -39,7 +38,7 @@ pub fn encode_image(stamp: Time, frame: &str, image: &Image<'_>) -> Vec<u8> {
     cdr.finish()
 }
 
-/// The picture in a `sensor_msgs/msg/Image` that [`encode_image`] gave.
+/// The picture in a `sensor_msgs/msg/Image` from [`encode_image`].
 pub fn decode_image<'m>(channel: &str, message: &'m [u8]) -> Result<Image<'m>, RecordingError> {
     let decode = || -> Result<Image<'m>, String> {
         let mut cdr = CdrReader::new(message)?;
@@ -70,18 +69,18 @@ pub fn encode_compressed(stamp: Time, frame: &str, format: &str, bytes: &[u8]) -
     cdr.finish()
 }
 
-/// A picture or packet that is compressed.
+/// A compressed picture or video packet.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Compressed<'m> {
     /// Mid-exposure, UTC.
     pub stamp: Time,
-    /// How: `jpeg`, `h264` or `h265`.
+    /// The compression: `jpeg`, `h264` or `h265`.
     pub format: &'m str,
-    /// Its bytes.
+    /// The compressed bytes.
     pub bytes: &'m [u8],
 }
 
-/// What is in a `sensor_msgs/msg/CompressedImage`.
+/// The picture in a `sensor_msgs/msg/CompressedImage`.
 pub fn decode_compressed<'m>(
     channel: &str,
     message: &'m [u8],
@@ -102,7 +101,7 @@ pub fn encode_video(stamp: Time, frame: &str, format: &str, bytes: &[u8]) -> Vec
     cdr.finish()
 }
 
-/// What is in a `foxglove_msgs/msg/CompressedVideo`.
+/// The packet in a `foxglove_msgs/msg/CompressedVideo`.
 pub fn decode_video<'m>(
     channel: &str,
     message: &'m [u8],
@@ -113,7 +112,7 @@ pub fn decode_video<'m>(
     })
 }
 
-/// Reads the time and the frame with which both kinds begin, and the rest by `rest`.
+/// Reads a message: time and frame first, which both types have in common, then `rest`.
 fn decode_with<'m>(
     channel: &str,
     message: &'m [u8],

@@ -1,7 +1,7 @@
-//! Reads a recording from any place on, by its index of chunks. Where it has none, because its
-//! recorder was killed, one pass over the file makes one.
+//! Random access to a recording by its index of chunks. A recording has no index if its recorder
+//! was killed. Then one pass over the file makes it.
 //!
-//! No more than one chunk is in memory at a time, so a recording may be larger than that.
+//! Only one chunk is in memory at a time, so a recording may be larger than the memory.
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -19,36 +19,36 @@ use crate::error::RecordingError;
 use crate::reader::{Ending, RECORD_BYTES, RecordingReader, damaged};
 use crate::writer::{About, LARGEST_MESSAGE};
 
-/// A record, bytes at most.
+/// Largest size of a record, bytes.
 const LARGEST_RECORD: usize = LARGEST_MESSAGE + RECORD_BYTES;
 
-/// Where a chunk lies, and what it has.
+/// Position and content of a chunk.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ChunkPlace {
-    /// Where its record begins, bytes.
+    /// Position of the chunk's record in the file, bytes.
     pub offset: u64,
-    /// Bytes of its record.
+    /// Size of the chunk's record, bytes.
     pub length: u64,
-    /// Time of its first message, UTC nanoseconds.
+    /// Time of the first message, UTC nanoseconds.
     pub first_ns: u64,
-    /// Time of its last message.
+    /// Time of the last message, UTC nanoseconds.
     pub last_ns: u64,
-    /// Numbers of the channels that have messages in it.
+    /// Numbers of the channels that have messages in the chunk.
     pub channels: Vec<u16>,
 }
 
 /// A message of a chunk.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct IndexedMessage {
-    /// Number of its channel: see [`IndexedRecording::channels`].
+    /// Number of the channel; see [`IndexedRecording::channels`].
     pub channel: u16,
-    /// When it came, UTC nanoseconds.
+    /// Time of arrival, UTC nanoseconds.
     pub utc_ns: u64,
-    /// Its bytes, CDR.
+    /// The message in CDR.
     pub bytes: Vec<u8>,
 }
 
-/// A recording, and where its chunks are. It is read by reference, from several threads at once.
+/// A recording with the positions of its chunks. Several threads may read it at once.
 #[derive(Debug)]
 pub struct IndexedRecording {
     path: PathBuf,
@@ -85,50 +85,50 @@ impl IndexedRecording {
         Ok(recording)
     }
 
-    /// The file.
+    /// The path of the file.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// What the recording says of itself.
+    /// The metadata of the recording.
     pub fn about(&self) -> &About {
         &self.about
     }
 
-    /// Its channels, by their numbers.
+    /// The channels by their numbers.
     pub fn channels(&self) -> &BTreeMap<u16, Arc<ChannelKind>> {
         &self.channels
     }
 
-    /// Its chunks, in the order of the file, which is that of their times.
+    /// The chunks in the order of the file, which is also the order of their times.
     pub fn chunks(&self) -> &[ChunkPlace] {
         &self.chunks
     }
 
-    /// How it ends.
+    /// Whether the recording has an index or was cut off.
     pub fn ending(&self) -> Ending {
         self.ending
     }
 
-    /// What ended the pass that made an index. What lies before can be read.
+    /// The error that ended the pass for an index. Chunks before it can be read.
     pub fn damage(&self) -> Option<&RecordingError> {
         self.damage.as_ref()
     }
 
-    /// Times of the first and the last message, UTC nanoseconds; `None`: it has none.
+    /// Times of the first and the last message, UTC nanoseconds; `None` without messages.
     pub fn span_ns(&self) -> Option<(u64, u64)> {
         let first = self.chunks.iter().map(|chunk| chunk.first_ns).min()?;
         let last = self.chunks.iter().map(|chunk| chunk.last_ns).max()?;
         Some((first, last))
     }
 
-    /// The chunk that holds what came at this time: the last one that does not begin later.
+    /// The chunk with the messages of this time: the last one that does not begin later.
     pub fn chunk_at(&self, utc_ns: u64) -> usize {
         self.chunks.partition_point(|chunk| chunk.first_ns <= utc_ns).saturating_sub(1)
     }
 
-    /// The messages of a chunk whose channels are wanted, in the order in which they were recorded.
-    /// There is nothing in chunks that do not exist.
+    /// The messages of a chunk on the wanted channels, in the order of recording. Empty for a chunk
+    /// that does not exist.
     pub fn messages(
         &self,
         chunk: usize,
@@ -164,7 +164,7 @@ impl IndexedRecording {
         Ok(bytes)
     }
 
-    /// What is in a chunk's record, whose head is there too.
+    /// The chunk in a record. `record` includes the head.
     fn unpack(&self, offset: u64, record: &[u8]) -> Result<Chunk, RecordingError> {
         let damaged = |reason: &str| damaged(&self.path, offset, reason);
         let (head, body) =
@@ -178,8 +178,7 @@ impl IndexedRecording {
         }
     }
 
-    /// Reads the index at the end of the file. False where there is none, or one that cannot be
-    /// believed.
+    /// Reads the index at the end of the file. False if there is none, or if it is invalid.
     fn read_index(&mut self, bytes: u64) -> bool {
         let Some(summary) = self.summary(bytes) else { return false };
         let of_channel = |channel: &Arc<mcap::Channel<'_>>| {
@@ -237,11 +236,11 @@ impl IndexedRecording {
         reader.finish()
     }
 
-    /// Makes an index of a file without one, up to its end or to where it is damaged.
+    /// Makes the index of a file without one, up to the end of the file or to the damage.
     fn make_index(&mut self, bytes: u64) -> Result<(), RecordingError> {
         let mut offset = mcap::MAGIC.len() as u64;
         let mut schemas = BTreeMap::new();
-        // What does not fit any more is what the recorder was writing when it was killed.
+        // An incomplete record at the end was being written when the recorder was killed.
         while offset + RECORD_HEAD as u64 <= bytes {
             let head = self.bytes(offset, RECORD_HEAD)?;
             let mut length = [0; 8];
@@ -272,14 +271,14 @@ impl IndexedRecording {
         Ok(())
     }
 
-    /// Takes a chunk into the index.
+    /// Adds a chunk to the index.
     fn note_chunk(
         &mut self,
         offset: u64,
         length: u64,
         schemas: &mut BTreeMap<u16, (String, String)>,
     ) -> Result<(), RecordingError> {
-        // The caller has compared it with the largest.
+        // The caller has checked that the length is at most the largest record.
         let record = self.bytes(offset, length as usize)?;
         let mut chunk = self.unpack(offset, &record)?;
         let mut place =

@@ -1,4 +1,4 @@
-//! Where each field of a topic's messages lies: the contract's description, looked up once.
+//! Positions of the fields in a topic's messages, from the contract's description.
 
 use std::sync::Arc;
 
@@ -12,9 +12,9 @@ pub struct TopicLayout {
     pub service: &'static str,
     /// The header.
     pub header: TypeDescription,
-    /// What the payload is a slice of; `None`: bytes, such as pixels.
+    /// The type of the payload's items; `None`: bytes, such as pixels.
     pub item: Option<TypeDescription>,
-    /// The contract's types: fields name those that they are of.
+    /// All types of the contract. Fields refer to them by name.
     types: Arc<Vec<TypeDescription>>,
 }
 
@@ -32,7 +32,7 @@ pub fn layouts() -> Vec<TopicLayout> {
 }
 
 impl TopicLayout {
-    /// A type that a field names.
+    /// The type with this name.
     pub(crate) fn type_named(&self, name: &str) -> Option<&TypeDescription> {
         self.types.iter().find(|known| known.name == name)
     }
@@ -47,12 +47,12 @@ impl TopicLayout {
         }
     }
 
-    /// The name of its channel in a recording.
+    /// The name of the topic's channel in a recording.
     pub fn channel(&self) -> String {
         format!("/{}", self.service)
     }
 
-    /// The name of its messages, such as `flockeye_msgs/msg/TrackMessage`.
+    /// The name of the message type, such as `flockeye_msgs/msg/TrackMessage`.
     pub fn message_name(&self) -> String {
         let last = self.service.rsplit('/').next().unwrap_or(self.service);
         let capital = |word: &str| {
@@ -65,7 +65,7 @@ impl TopicLayout {
     }
 }
 
-/// Bytes of a number with this name in Rust.
+/// Size of the number type with this Rust name, bytes.
 pub fn number_size(name: &str) -> usize {
     match name {
         "u8" => 1,
@@ -74,7 +74,7 @@ pub fn number_size(name: &str) -> usize {
     }
 }
 
-/// The value of a number as text, from its bytes, little-endian: shortest, but exact.
+/// A number as its shortest exact text. `bytes` is little-endian.
 pub fn number_text(name: &str, bytes: &[u8]) -> String {
     let mut wide = [0; 8];
     let length = bytes.len().min(8);
@@ -89,8 +89,8 @@ pub fn number_text(name: &str, bytes: &[u8]) -> String {
     }
 }
 
-/// The numbers that a field is: their name in Rust and, of an array, their count. Rows of rows are
-/// one array in ROS: the same bytes.
+/// The Rust name of a field's number type, and for arrays the count. Nested arrays become one array
+/// in ROS with the same bytes.
 pub(crate) fn numbers_of(kind: &Kind) -> Option<(&'static str, Option<usize>)> {
     match kind {
         Kind::Number(name) => Some((name, None)),

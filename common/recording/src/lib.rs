@@ -1,26 +1,26 @@
-//! Recordings: MCAP files of all messages of a pipeline, which the tools of ROS 2 and Foxglove
-//! read.
+//! Recordings: MCAP files with all messages of a pipeline. The tools of ROS 2 and Foxglove can read
+//! them.
 //!
-//! Each topic of the contract is a channel. Its messages are ROS 2 messages whose definitions
-//! follow from the contract's own description, and stand in the file. CDR keeps every bit of every
-//! number, so the message of the contract is read back byte by byte.
+//! Each topic of the contract is a channel. Its messages are ROS 2 messages. The file contains
+//! their definitions, which follow from the contract's own description. CDR keeps every bit of
+//! every number, so a message of the contract is read back byte by byte.
 //!
-//! | module | what it has |
+//! | module | content |
 //! | --- | --- |
-//! | [`layout`] | where each field of a topic's messages lies |
+//! | [`layout`] | positions of the fields in a topic's messages |
 //! | [`message`] | a message of the contract as a ROS 2 message, and back |
-//! | [`definition`] | the messages' definitions, as ROS 2 writes them |
+//! | [`definition`] | message definitions in the form of ROS 2 |
 //! | [`images`] | pictures and video |
 //! | [`poses`] | neighbours' poses and transforms |
 //! | [`channel`] | the channels of a recording |
-//! | [`file`](mod@file) | a file that keeps what is whole, also where the disk is full |
+//! | [`file`](mod@file) | a file of whole records, even if the disk is full |
 //! | [`writer`] | writes a recording |
-//! | [`reader`] | reads one, also one that was not ended |
-//! | `parts` | goes on with the next file of one that was split |
-//! | [`indexed`] | reads one from any place on |
-//! | [`losses`] | what a recording says that it lacks |
-//! | [`recover`](mod@recover) | makes a whole recording of a broken one |
-//! | [`error`] | what can go wrong, and the cure |
+//! | [`reader`] | reads a recording in order, also an incomplete one |
+//! | `parts` | the next file of a split recording |
+//! | [`indexed`] | random access to a recording |
+//! | [`losses`] | messages that are missing in a recording |
+//! | [`recover`](mod@recover) | makes a whole recording from a damaged one |
+//! | [`error`] | errors and their cures |
 //!
 //! `docs/RECORDING.md` describes the files for their users.
 

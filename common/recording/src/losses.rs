@@ -1,32 +1,31 @@
-//! What a recording lacks of a topic: `flockeye_msgs/msg/Loss`, written and read back.
+//! Messages of a topic that are missing in a recording: `flockeye_msgs/msg/Loss`.
 
 use crate::cdr::{CdrReader, CdrWriter};
 use crate::channel::LOSSES;
 use crate::error::RecordingError;
 
-/// What was recorded of a topic, and what was not, since the recording began.
+/// Counts of recorded and missing messages of a topic, since the recording began.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Loss {
     /// Messages that were received.
     pub recorded: u64,
     /// Messages that broke the contract.
     pub refused: u64,
-    /// Numbers that are missing among those that rise by one: of frames (lost, or never sent),
-    /// packets, plans and journals.
+    /// Gaps in sequence numbers of frames (lost, or never sent), packets, plans and journals.
     pub missing: u64,
-    /// How often a topic's buffer was found full, so that messages may have been lost.
+    /// Number of times that the topic's buffer was full, so that messages may have been lost.
     pub buffer_full: u64,
     /// Messages that were dropped because the disk is too slow.
     pub queue_full: u64,
 }
 
 impl Loss {
-    /// How many messages are missing for certain.
+    /// The number of messages that are certainly missing.
     pub fn certain(&self) -> u64 {
         self.refused.saturating_add(self.missing).saturating_add(self.queue_full)
     }
 
-    /// All that is, or may be, lost.
+    /// The number of messages that are missing, or may be missing.
     pub fn lost(&self) -> u64 {
         self.certain().saturating_add(self.buffer_full)
     }
@@ -37,7 +36,7 @@ impl Loss {
     }
 }
 
-/// What is lost of a topic, as a message.
+/// The losses of a topic as a message.
 pub fn encode_loss(topic: &str, loss: &Loss) -> Vec<u8> {
     let mut cdr = CdrWriter::with_capacity(96);
     cdr.text(topic.as_bytes());
@@ -45,13 +44,13 @@ pub fn encode_loss(topic: &str, loss: &Loss) -> Vec<u8> {
     cdr.finish()
 }
 
-/// The topic, and what is lost of it.
+/// The topic and its losses in a message.
 pub fn decode_loss(message: &[u8]) -> Result<(String, Loss), RecordingError> {
     let decode = || -> Result<(String, Loss), String> {
         let mut cdr = CdrReader::new(message)?;
         let topic = String::from_utf8_lossy(cdr.text()?).into_owned();
         let mut count = || -> Result<u64, String> {
-            // `numbers` gives as many bytes as were asked for.
+            // `numbers` returns exactly eight bytes.
             Ok(u64::from_le_bytes(cdr.numbers(8, 1)?.try_into().unwrap_or_default()))
         };
         let loss = Loss {

@@ -1,4 +1,4 @@
-//! Messages of the contract as ROS 2 messages, and back, byte by byte.
+//! Conversion between messages of the contract and ROS 2 messages, byte by byte.
 
 use flockeye_contract::description::{Kind, TypeDescription};
 
@@ -11,10 +11,10 @@ use crate::layout::{TopicLayout, number_size, number_text, numbers_of};
 pub struct ContractMessage {
     /// The header's bytes.
     pub header: Vec<u8>,
-    /// The items' bytes. Empty where the payload is bytes, such as pixels, which are recorded
-    /// apart.
+    /// The items' bytes. Empty if the payload is bytes, such as pixels; these have a channel of
+    /// their own.
     pub items: Vec<u8>,
-    /// How many bytes a payload of bytes has.
+    /// The size of a payload of bytes.
     pub payload_bytes: u64,
 }
 
@@ -43,7 +43,7 @@ pub fn encode(layout: &TopicLayout, message: &ContractMessage) -> Result<Vec<u8>
     Ok(cdr.finish())
 }
 
-/// The message of the contract that [`encode`] was given.
+/// The message of the contract that [`encode`] has converted.
 pub fn decode(layout: &TopicLayout, message: &[u8]) -> Result<ContractMessage, RecordingError> {
     let refused = |reason: String| RecordingError::Message { channel: layout.channel(), reason };
     let mut cdr = CdrReader::new(message).map_err(refused)?;
@@ -57,7 +57,7 @@ pub fn decode(layout: &TopicLayout, message: &[u8]) -> Result<ContractMessage, R
         }
         Some(item) => {
             let count = cdr.u32().map_err(refused)?;
-            // Each item takes bytes of the message, so a count that lies ends at the message's end.
+            // Each item takes bytes of the message, so a count that is too large ends in an error.
             for _ in 0..count {
                 read(&mut cdr, layout, item, &mut found.items).map_err(refused)?;
             }
@@ -70,8 +70,8 @@ pub fn decode(layout: &TopicLayout, message: &[u8]) -> Result<ContractMessage, R
     Ok(found)
 }
 
-/// Where two messages of a topic differ first, field by field, with both values; `None`: they are
-/// the same, bit by bit.
+/// The first field in which two messages of a topic differ, with both values. `None` if they are
+/// equal bit by bit.
 pub fn first_difference(
     layout: &TopicLayout,
     one: &ContractMessage,
@@ -128,7 +128,7 @@ fn difference(
 
 fn write(cdr: &mut CdrWriter, layout: &TopicLayout, described: &TypeDescription, bytes: &[u8]) {
     for field in &described.fields {
-        // `encode` has checked the size of the whole, and the fields fill it.
+        // `encode` has checked the total size, which is the sum of the fields.
         let bytes = bytes.get(field.offset..field.offset + layout.size_of(&field.kind));
         let bytes = bytes.unwrap_or_default();
         match &field.kind {

@@ -6,8 +6,7 @@ use std::path::{Path, PathBuf};
 use crate::RecordingError;
 use crate::reader::RecordingReader;
 
-/// The file that follows one of a recording that was split, if it is there: `flight.mcap`,
-/// `flight-1.mcap` and so on.
+/// The next file of a split recording, if it exists: `flight.mcap`, `flight-1.mcap` and so on.
 fn next(path: &Path, metadata: &BTreeMap<String, String>) -> Option<PathBuf> {
     let number: u64 = metadata.get("file")?.parse().ok()?;
     let stem = path.file_stem()?.to_str()?;
@@ -21,10 +20,10 @@ fn next(path: &Path, metadata: &BTreeMap<String, String>) -> Option<PathBuf> {
 }
 
 impl RecordingReader {
-    /// The file that goes on where this one ends, if the recording was split.
+    /// Opens the file that continues this one, if the recording was split.
     ///
     /// # Errors
-    /// It is there and cannot be read: as [`RecordingReader::open`].
+    /// The file exists and cannot be read: as [`RecordingReader::open`].
     pub fn next_part(&self) -> Result<Option<Self>, RecordingError> {
         let Some(path) = next(self.path(), &self.about().metadata) else { return Ok(None) };
         let reader = Self::open(&path)?;
@@ -32,7 +31,7 @@ impl RecordingReader {
     }
 }
 
-/// Whether one file goes on where another ends.
+/// Whether one file continues another.
 fn is_same_flight(one: &RecordingReader, next: &RecordingReader) -> bool {
     let about = |reader: &RecordingReader, key: &str| reader.about().metadata.get(key).cloned();
     let number =

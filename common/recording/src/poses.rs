@@ -7,9 +7,9 @@ use flockeye_ros2::{RelativePose, ros_name};
 use crate::channel::ChannelKind;
 use crate::error::RecordingError;
 
-/// The poses of a message of tracks, each with its channel, and the transforms of all.
-/// `stamp_utc_ns` is mid-exposure, nanoseconds since the Unix epoch; `observer` is this drone's
-/// name. Tracks that have ended, and what is no pose, are left out.
+/// The poses of a message of tracks, each with its channel, and all transforms. `stamp_utc_ns` is
+/// mid-exposure, nanoseconds since the Unix epoch; `observer` is this drone's name. Lost tracks and
+/// invalid poses are skipped.
 pub fn of_tracks(
     tracks: &[Track],
     stamp_utc_ns: i64,

@@ -1,6 +1,6 @@
-//! Reads a recording from its beginning to its end, also one that was cut off.
+//! Reads a recording from its beginning to its end, also an incomplete one.
 //!
-//! Nothing that a file says takes more memory than [`LARGEST_MESSAGE`] and some.
+//! No content of a file, damaged or not, can take much more memory than [`LARGEST_MESSAGE`].
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -17,28 +17,28 @@ use crate::chunk::Chunk;
 use crate::error::RecordingError;
 use crate::writer::{About, LARGEST_MESSAGE, METADATA};
 
-/// What a record or a chunk has beside a large message, bytes at most.
+/// Largest size of a record or a chunk beyond its largest message, bytes.
 pub(crate) const RECORD_BYTES: usize = 4_194_304;
 
 /// A message of a recording.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct RecordedMessage {
-    /// Its channel.
+    /// The message's channel.
     pub channel: Arc<ChannelKind>,
-    /// Its number in the channel.
+    /// Sequence number in the channel.
     pub sequence: u32,
-    /// When it came, UTC nanoseconds.
+    /// Time of arrival, UTC nanoseconds.
     pub utc_ns: u64,
-    /// Its bytes, CDR.
+    /// The message in CDR.
     pub bytes: Vec<u8>,
 }
 
-/// How a recording ends.
+/// The end of a recording.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Ending {
-    /// With its index.
+    /// With an index.
     Whole,
-    /// Without: its recorder was killed, or the disk was full.
+    /// Without an index: the recorder was killed, or the disk was full.
     Cut,
 }
 
@@ -50,25 +50,19 @@ pub struct RecordingReader {
     /// Bytes that were read from the file.
     read: u64,
     about: About,
+    /// Whether the metadata of the recording were read.
+    has_metadata: bool,
     schemas: BTreeMap<u16, (String, String)>,
     channels: BTreeMap<u16, Arc<ChannelKind>>,
     chunk: Chunk,
     has_messages: bool,
-    /// A message, or damage, that came while the beginning was read.
+    /// A message or an error that was read together with the beginning.
     first: Option<Result<RecordedMessage, RecordingError>>,
     ending: Option<Ending>,
 }
 
-/// What a record was.
-enum ReadRecord {
-    Message(RecordedMessage),
-    Beginning,
-    Other,
-    End(Ending),
-}
-
 impl RecordingReader {
-    /// Opens a recording and reads what it says of itself.
+    /// Opens a recording and reads its metadata.
     ///
     /// # Errors
     /// [`RecordingError::File`], [`RecordingError::Empty`], [`RecordingError::NotMcap`],
@@ -86,7 +80,7 @@ impl RecordingReader {
             return Err(RecordingError::Empty { path });
         }
         let options = LinearReaderOptions::default()
-            // What is in them is unpacked here, under stricter checks than the library's.
+            // Chunks are decompressed here, with stricter checks than in the library.
             .with_emit_chunks(true)
             .with_record_length_limit(LARGEST_MESSAGE + RECORD_BYTES);
         let mut reader = Self {
@@ -95,6 +89,7 @@ impl RecordingReader {
             linear: LinearReader::new_with_options(options),
             read: 0,
             about: About::default(),
+            has_metadata: false,
             schemas: BTreeMap::new(),
             channels: BTreeMap::new(),
             chunk: Chunk::default(),
@@ -106,53 +101,45 @@ impl RecordingReader {
         Ok(reader)
     }
 
-    /// The file.
+    /// The path of the file.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// What the recording says of itself.
+    /// The metadata of the recording.
     pub fn about(&self) -> &About {
         &self.about
     }
 
-    /// How it ends, once [`RecordingReader::next_message`] has given the last message.
+    /// The end of the recording, after [`RecordingReader::next_message`] has returned the last
+    /// message.
     pub fn ending(&self) -> Option<Ending> {
         self.ending
     }
 
-    /// The next message, in the order in which they were recorded; `None` at the end.
+    /// The next message in the order of recording; `None` at the end.
     pub fn next_message(&mut self) -> Result<Option<RecordedMessage>, RecordingError> {
         if let Some(first) = self.first.take() {
             return first.map(Some);
         }
         while self.ending.is_none() {
-            match self.next_record()? {
-                ReadRecord::Message(message) => return Ok(Some(message)),
-                ReadRecord::End(ending) => self.ending = Some(ending),
-                ReadRecord::Beginning | ReadRecord::Other => {}
+            if let Some(message) = self.next_record()? {
+                return Ok(Some(message));
             }
         }
         Ok(None)
     }
 
     fn read_beginning(&mut self) -> Result<(), RecordingError> {
-        let mut is_known = false;
-        loop {
+        while self.first.is_none() && self.ending.is_none() {
             match self.next_record() {
-                Ok(ReadRecord::Beginning) => is_known = true,
-                Ok(ReadRecord::Other) => {}
-                Ok(ReadRecord::Message(message)) => self.first = Some(Ok(message)),
-                Ok(ReadRecord::End(ending)) => self.ending = Some(ending),
-                // What the recording says of itself is known all the same.
-                Err(damage) if is_known => self.first = Some(Err(damage)),
+                Ok(message) => self.first = message.map(Ok),
+                // The metadata are valid although the rest is damaged.
+                Err(damage) if self.has_metadata => self.first = Some(Err(damage)),
                 Err(damage) => return Err(damage),
             }
-            if self.first.is_some() || self.ending.is_some() {
-                break;
-            }
         }
-        if is_known {
+        if self.has_metadata {
             return Ok(());
         }
         let path = self.path.clone();
@@ -163,7 +150,8 @@ impl RecordingReader {
         Err(RecordingError::Foreign { path, reason })
     }
 
-    fn next_record(&mut self) -> Result<ReadRecord, RecordingError> {
+    /// Reads a record. Returns it if it is a message; sets `ending` at the end.
+    fn next_record(&mut self) -> Result<Option<RecordedMessage>, RecordingError> {
         let in_chunk = self.chunk.next_record();
         let in_chunk = in_chunk.map_err(|reason| damaged(&self.path, self.read, &reason))?;
         if let Some(record) = in_chunk {
@@ -171,10 +159,13 @@ impl RecordingReader {
         }
         loop {
             let outcome = match self.linear.next_event() {
-                None => return Ok(ReadRecord::End(Ending::Whole)),
+                None => {
+                    self.ending = Some(Ending::Whole);
+                    return Ok(None);
+                }
                 Some(Ok(LinearReadEvent::ReadRequest(wanted))) => Ok(wanted),
                 Some(Ok(LinearReadEvent::Record { opcode, data })) => {
-                    // A record of this kind is none: the rest of a file that a crash left as zeros.
+                    // No record has opcode 0. A crash may leave the rest of a file as zeros.
                     if opcode == 0 {
                         return Err(damaged(
                             &self.path,
@@ -192,7 +183,10 @@ impl RecordingReader {
             match outcome {
                 Ok(wanted) => self.fill(wanted)?,
                 Err(Ok(record)) => return self.understand(record),
-                Err(Err(McapError::UnexpectedEof)) => return Ok(ReadRecord::End(Ending::Cut)),
+                Err(Err(McapError::UnexpectedEof)) => {
+                    self.ending = Some(Ending::Cut);
+                    return Ok(None);
+                }
                 Err(Err(McapError::BadMagic)) if self.read <= mcap::MAGIC.len() as u64 => {
                     return Err(RecordingError::NotMcap { path: self.path.clone() });
                 }
@@ -218,7 +212,11 @@ impl RecordingReader {
         Ok(())
     }
 
-    fn understand(&mut self, record: Record<'static>) -> Result<ReadRecord, RecordingError> {
+    /// Takes a record. Returns it if it is a message.
+    fn understand(
+        &mut self,
+        record: Record<'static>,
+    ) -> Result<Option<RecordedMessage>, RecordingError> {
         match record {
             Record::Schema { header, data } => {
                 let definition = String::from_utf8_lossy(&data).into_owned();
@@ -236,7 +234,7 @@ impl RecordingReader {
                     let reason = format!("a message of the unknown channel {}", header.channel_id);
                     return Err(damaged(&self.path, self.read, &reason));
                 };
-                return Ok(ReadRecord::Message(RecordedMessage {
+                return Ok(Some(RecordedMessage {
                     channel: channel.clone(),
                     sequence: header.sequence,
                     utc_ns: header.log_time,
@@ -253,17 +251,17 @@ impl RecordingReader {
                 let offset = offset.and_then(|text| text.parse().ok());
                 self.about.utc_from_monotonic_ns = offset.unwrap_or(0);
                 self.about.metadata = metadata.metadata;
-                return Ok(ReadRecord::Beginning);
+                self.has_metadata = true;
             }
-            // Only what stands before the messages says something of the recording. What others
-            // have added behind them may be of any size and number.
+            // Only attachments before the messages describe the recording. Other programs may add
+            // later ones, in any size and number.
             Record::Attachment { header, data, .. } if !self.has_messages => {
                 let attached = (header.name, header.media_type, data.into_owned());
                 self.about.attachments.push(attached);
             }
             _ => {}
         }
-        Ok(ReadRecord::Other)
+        Ok(None)
     }
 }
 

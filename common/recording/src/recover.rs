@@ -1,4 +1,4 @@
-//! Makes a whole recording of what can be read of a broken one.
+//! Makes a whole recording from the readable part of a damaged one.
 
 use std::path::Path;
 
@@ -7,18 +7,19 @@ use crate::file::RecordingFile;
 use crate::reader::{Ending, RecordingReader};
 use crate::writer::RecordingWriter;
 
-/// What was recovered.
+/// The result of a recovery.
 #[derive(Debug)]
 pub struct Recovered {
-    /// Messages that are in the new file.
+    /// Number of messages in the new file.
     pub messages: u64,
-    /// What ended the reading of the old one; `None`: its own end, or where it was cut off.
+    /// The error that ended the reading of the old file. `None`: its end, or the place where it was
+    /// cut off.
     pub damage: Option<RecordingError>,
-    /// Whether nothing was wrong with it.
+    /// Whether the old file was already whole.
     pub was_whole: bool,
 }
 
-/// Copies what can be read of the recording `from` to a new one, `to`, with an index.
+/// Copies the readable part of the recording `from` to a new one, `to`, with an index.
 pub fn recover(from: &Path, to: &Path) -> Result<Recovered, RecordingError> {
     let mut reader = RecordingReader::open(from)?;
     let mut writer = RecordingWriter::begin(RecordingFile::create(to)?, reader.about())?;

@@ -1,8 +1,7 @@
 //! Writes a recording.
 //!
-//! The MCAP library writes to memory, and only whole records go from there to the file. So a write
-//! that fails never leaves the library in an unknown state, and what is in the file can always be
-//! read.
+//! The MCAP library writes to memory. From there only whole records go to the file. So a failed
+//! write never leaves the library in an unknown state, and the file is always readable.
 
 use std::collections::BTreeMap;
 use std::io::Write;
@@ -16,28 +15,28 @@ use crate::channel::ChannelKind;
 use crate::error::RecordingError;
 use crate::file::RecordingFile;
 
-/// The name of the metadata that every recording begins with.
+/// The name of the metadata record at the beginning of every recording.
 pub(crate) const METADATA: &str = "flockeye";
 
-/// The largest message, bytes: a frame of 8192x8192 pixels. Readers refuse larger ones, before they
-/// take memory.
+/// The largest message, bytes: a frame of 8192x8192 pixels. Readers refuse larger ones before they
+/// allocate memory.
 pub const LARGEST_MESSAGE: usize = 67_108_864;
 
-/// A chunk is ended once it has so many bytes before compression.
+/// Size of a chunk before compression, bytes. A larger one is ended.
 const CHUNK_BYTES: u64 = 1 << 20;
 
-/// What a recording says of itself.
+/// The metadata and attachments of a recording.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct About {
-    /// UTC less CLOCK_MONOTONIC, nanoseconds: times of messages are UTC.
+    /// UTC minus CLOCK_MONOTONIC, nanoseconds. Times of messages are UTC.
     pub utc_from_monotonic_ns: i64,
-    /// Names and values for whoever opens the file.
+    /// Names and values that describe the recording.
     pub metadata: BTreeMap<String, String>,
-    /// Files in the file: name, media type and bytes.
+    /// Attached files: name, media type and bytes.
     pub attachments: Vec<(String, String, Vec<u8>)>,
 }
 
-/// Bytes on their way to the file.
+/// Bytes that are not yet in the file.
 #[derive(Debug, Clone, Default)]
 struct Spool(Arc<Mutex<Vec<u8>>>);
 
@@ -64,7 +63,7 @@ pub struct RecordingWriter {
     mcap: Writer<NoSeek<Spool>>,
     spool: Spool,
     file: RecordingFile,
-    /// Number of each channel, and of its next message.
+    /// Number of each channel, and sequence number of its next message.
     channels: BTreeMap<ChannelKind, (u16, u32)>,
     utc_from_monotonic_ns: i64,
 }
@@ -77,7 +76,7 @@ impl RecordingWriter {
             .profile("ros2")
             .library(concat!("flockeye ", env!("CARGO_PKG_VERSION")))
             .compression(Some(Compression::Zstd))
-            // The fastest: a recorder must not take the processor from the flight.
+            // The fastest level: a recorder must leave the processor to the flight.
             .compression_level(1)
             .compression_threads(0)
             .chunk_size(Some(CHUNK_BYTES))
@@ -103,12 +102,12 @@ impl RecordingWriter {
         Ok(writer)
     }
 
-    /// Writes a message that came at `at_ns`, CLOCK_MONOTONIC. Returns its number in its channel.
+    /// Writes a message that arrived at `at_ns`, CLOCK_MONOTONIC. Returns its sequence number.
     ///
     /// # Errors
-    /// [`RecordingError::DiskFull`]: end the recording; [`RecordingError::File`]: what was written
-    /// before is in the file. [`RecordingError::Message`] for one that is too large, after which
-    /// the recording goes on.
+    /// [`RecordingError::DiskFull`]: end the recording. [`RecordingError::File`]: earlier messages
+    /// are in the file. [`RecordingError::Message`]: the message is too large, and the recording
+    /// continues.
     pub fn write(
         &mut self,
         kind: &ChannelKind,
@@ -122,7 +121,7 @@ impl RecordingWriter {
         Ok(sequence)
     }
 
-    /// Writes a message with this number in its channel, and this time, UTC nanoseconds.
+    /// Writes a message with this sequence number and this time, UTC nanoseconds.
     pub fn write_as(
         &mut self,
         kind: &ChannelKind,
@@ -154,33 +153,33 @@ impl RecordingWriter {
         Ok(id)
     }
 
-    /// Ends the chunk, and waits until the disk has it: a crash later loses nothing of what came
-    /// before.
+    /// Ends the chunk and waits until it is on the disk. A later crash cannot lose earlier
+    /// messages.
     pub fn flush(&mut self) -> Result<(), RecordingError> {
         self.mcap.flush()?;
         self.move_to_file()?;
         self.file.sync()
     }
 
-    /// Leaves so much of the disk free from now on, instead of 16 MB.
+    /// Sets the disk space that is left free, instead of 16 MB.
     pub fn leave_free(&mut self, bytes: u64) {
         self.file.leave_free(bytes);
     }
 
-    /// Bytes in the file.
+    /// The size of the file, bytes.
     pub fn bytes(&self) -> u64 {
         self.file.bytes()
     }
 
-    /// The file.
+    /// The path of the file.
     pub fn path(&self) -> &std::path::Path {
         self.file.path()
     }
 
-    /// Ends the recording with its index. Returns the bytes of the file.
+    /// Ends the recording with its index. Returns the size of the file, bytes.
     ///
     /// # Errors
-    /// [`RecordingError::File`]: then the file has no index, and can be read all the same.
+    /// [`RecordingError::File`]: the file has no index, but can be read.
     pub fn finish(mut self) -> Result<u64, RecordingError> {
         self.mcap.finish()?;
         self.file.append_last(&self.spool.take())?;
@@ -194,8 +193,8 @@ impl RecordingWriter {
             return Ok(());
         }
         match self.file.append(&bytes) {
-            // There is room for what is here already, and for the end: both are written by
-            // `finish`.
+            // The reserved disk space is enough for these bytes and the index. `finish` writes
+            // both.
             Err(error @ RecordingError::DiskFull { .. }) => {
                 self.spool.clone().write_all(&bytes).ok();
                 Err(error)

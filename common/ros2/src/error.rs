@@ -1,69 +1,39 @@
-//! What can go wrong with publishing to ROS 2.
+//! Errors of publishing to ROS 2.
 
 use flockeye_network::NetworkError;
 
 /// Maximum targets, and maximum peers, of a node.
 pub(crate) const MAX_DRONES: usize = 64;
 
-/// What can go wrong with publishing to ROS 2. None of these ends a stage that is already running.
+/// Errors of publishing to ROS 2. None of them ends a stage that is already running.
 #[derive(Debug, thiserror::Error)]
+#[expect(missing_docs, reason = "the texts name the fields")]
 pub enum Ros2Error {
-    /// A parameter that cannot work, a session or a thread that cannot be had.
+    /// An invalid parameter, or a session or thread that cannot be started.
     #[error(transparent)]
     Network(#[from] NetworkError),
-    /// A name that no other drone can have.
+    /// An invalid name of another drone.
     #[error("drone '{name}' {reason}")]
-    Name {
-        /// The name.
-        name: String,
-        /// Why it cannot be published.
-        reason: &'static str,
-    },
-    /// Two drones that would be one in ROS.
+    Name { name: String, reason: &'static str },
+    /// Two drones that would have the same name in ROS.
     #[error(
         "drone '{name}' and drone '{other}' would both be '{ros_name}' in ROS. Cure: give one of them a \
          name that differs in letters or digits"
     )]
-    Collision {
-        /// The drone that is refused.
-        name: String,
-        /// The drone that has the name in ROS already.
-        other: String,
-        /// The name that both would have.
-        ros_name: String,
-    },
-    /// More drones than there are topics for.
+    Collision { name: String, other: String, ros_name: String },
+    /// More drones than the maximum.
     #[error("drone '{0}': already {MAX_DRONES} drones, which is the most")]
     TooManyDrones(String),
-    /// A pose that is none.
+    /// An invalid pose.
     #[error("pose of or by '{name}': {what} is {found:?}, which {reason}")]
-    Pose {
-        /// The other drone's name.
-        name: String,
-        /// Which value.
-        what: &'static str,
-        /// The value.
-        found: f64,
-        /// Why it cannot be.
-        reason: &'static str,
-    },
+    Pose { name: String, what: &'static str, found: f64, reason: &'static str },
     /// A time that ROS cannot express.
     #[error("pose of or by '{name}': {stamp_utc_ns} ns is outside the years 1901 to 2038 of ROS")]
-    Stamp {
-        /// The other drone's name.
-        name: String,
-        /// Nanoseconds since the Unix epoch.
-        stamp_utc_ns: i64,
-    },
+    Stamp { name: String, stamp_utc_ns: i64 },
     /// A message that cannot be encoded, such as one with a text of gigabytes.
     #[error("cannot encode a {message}: {reason}")]
-    Encode {
-        /// The message's type.
-        message: &'static str,
-        /// What the encoder says.
-        reason: String,
-    },
-    /// A client is linked with a session that passes nothing on.
+    Encode { message: &'static str, reason: String },
+    /// The session at the other end is no router and passes nothing on.
     #[error(
         "who answers is no router. Cure: start one (ros2 run rmw_zenoh_cpp rmw_zenohd) and name its \
          address in connect. Flockeye's gateway listens on port 7447 too, unless gateway.listen \

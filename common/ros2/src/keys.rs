@@ -1,4 +1,4 @@
-//! Under which keys rmw_zenoh publishes and announces, and what it attaches to each message.
+//! Keys under which rmw_zenoh publishes and announces, and its attachment to each message.
 //!
 //! The format is that of `rmw_zenoh_cpp` 0.2.4 and later (`docs/design.md`, `liveliness_utils.cpp`
 //! and `attachment_helpers.cpp` of ros2/rmw_zenoh).
@@ -7,9 +7,9 @@ use xxhash_rust::xxh3::xxh3_128;
 
 use crate::messages::MessageType;
 
-/// Quality of service of every publisher here, as tokens encode it: all that differs from
-/// rmw_zenoh's defaults, which are reliable, volatile and the last 42. Here it is the last 10, as
-/// ROS's default has it.
+/// Quality of service of every publisher here, in the format of tokens. It contains only the
+/// differences from rmw_zenoh's defaults: reliable, volatile, the last 42. Here it is the last 10,
+/// as in ROS's default.
 const QOS: &str = "::,10:,:,:,,";
 
 /// Length of an attachment, bytes.
@@ -20,7 +20,7 @@ pub fn topic_key(domain: u32, topic: &str, message: MessageType) -> String {
     format!("{domain}/{}/{}/{}", topic.trim_matches('/'), message.dds_name(), message.hash())
 }
 
-/// The publisher of a topic.
+/// The identity of a node in the ROS graph.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct NodeIdentity {
     /// The ROS domain.
@@ -51,8 +51,7 @@ impl NodeIdentity {
         )
     }
 
-    /// There is one node in a session, so its number is always 0. The enclave, of ROS's security,
-    /// is `/`.
+    /// A session has one node, so its number is always 0. The enclave, of ROS's security, is `/`.
     fn entity_token(&self, entity: u32, kind: &str) -> String {
         format!(
             "@ros2_lv/{}/{}/0/{entity}/{kind}/%/{}/{}",
@@ -69,15 +68,15 @@ fn mangled(name: &str) -> String {
     name.replace('/', "%")
 }
 
-/// The identifier of the publisher with the liveliness token `token`: its XXH3 hash of 128 bits,
-/// low half first, each half little-endian.
+/// The identifier of the publisher with the liveliness token `token`. It is the XXH3 hash of 128
+/// bits, low half first, each half little-endian.
 pub fn gid(token: &str) -> [u8; 16] {
     xxh3_128(token.as_bytes()).to_le_bytes()
 }
 
-/// What accompanies each message: its number on its topic, from 1; when it was sent, nanoseconds
-/// since the Unix epoch; and its publisher. In Zenoh's serialization: integers little-endian, a
-/// length before the array.
+/// The attachment of each message: number on its topic, from 1; time of sending, nanoseconds since
+/// the Unix epoch; publisher. It is in Zenoh's serialization: integers little-endian, a length
+/// before the array.
 pub fn attachment(sequence: i64, sent_utc_ns: i64, gid: [u8; 16]) -> [u8; ATTACHMENT_BYTES] {
     let mut bytes = [0; ATTACHMENT_BYTES];
     bytes[..8].copy_from_slice(&sequence.to_le_bytes());

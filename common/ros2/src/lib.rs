@@ -1,7 +1,7 @@
 //! A drone's neighbours as ROS 2 messages, without ROS installed.
 //!
-//! [`Ros2Node`] appears in ROS 2 as a node. It publishes over Zenoh just as the ROS middleware
-//! `rmw_zenoh_cpp` does, of ROS 2 Jazzy (0.2.4) and later:
+//! [`Ros2Node`] appears in ROS 2 as a node. It publishes over Zenoh in the same format as the ROS
+//! middleware `rmw_zenoh_cpp` of ROS 2 Jazzy (0.2.4) and later:
 //!
 //! | topic | message |
 //! | --- | --- |
@@ -25,9 +25,10 @@
 //! # Ok::<(), flockeye_ros2::Ros2Error>(())
 //! ```
 //!
-//! - [`messages`]: the messages and their CDR bytes. It knows nothing of Zenoh, so recordings can use it.
-//! - [`keys`]: under which keys rmw_zenoh publishes and announces, and what it attaches.
-//! - [`Ros2Parameters`]: how to reach the ROS nodes.
+//! - [`messages`]: the messages and their CDR bytes. The module does not depend on Zenoh, so
+//!   recordings can use it.
+//! - [`keys`]: keys under which rmw_zenoh publishes and announces, and its attachments.
+//! - [`Ros2Parameters`]: parameters of the link to the ROS nodes.
 //!
 //! `docs/PEERS.md` describes the topics, frames and limits for users.
 

@@ -1,19 +1,19 @@
-//! The ROS 2 messages that are published, and their bytes.
+//! The published ROS 2 messages, and their encoding.
 //!
-//! The structs have the numbers and texts of ROS 2 Jazzy's `std_msgs`, `geometry_msgs`, `nav_msgs`
-//! and `tf2_msgs` in the same order, which is all that their encoding depends on; a vector or
-//! quaternion is an array. The encoding is plain CDR (OMG CORBA 3.4, 9.3), little-endian, after the
-//! four bytes of a DDS encapsulation header (DDSI-RTPS 2.3, 10.2).
+//! The structs have the numbers and texts of ROS 2 Jazzy's types in the same order. The encoding
+//! depends only on this. The types are of `std_msgs`, `geometry_msgs`, `nav_msgs` and `tf2_msgs`; a
+//! vector or quaternion is an array. The encoding is plain CDR (OMG CORBA 3.4, 9.3), little-endian.
+//! It follows the four bytes of a DDS encapsulation header (DDSI-RTPS 2.3, 10.2).
 
 use byteorder::LittleEndian;
 use serde::Serialize;
 
 use crate::error::Ros2Error;
 
-/// `CDR_LE`: what follows is plain CDR, little-endian; no options.
+/// `CDR_LE`: plain CDR follows, little-endian, without options.
 const ENCAPSULATION: [u8; 4] = [0x00, 0x01, 0x00, 0x00];
 
-/// A type of message, as ROS 2 names it.
+/// A type of ROS 2 message.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum MessageType {
     /// [`PoseWithCovarianceStamped`].
@@ -25,7 +25,7 @@ pub enum MessageType {
 }
 
 impl MessageType {
-    /// The name that users of ROS know, such as `nav_msgs/msg/Odometry`.
+    /// The name in ROS, such as `nav_msgs/msg/Odometry`.
     pub fn ros_name(self) -> &'static str {
         match self {
             Self::PoseWithCovarianceStamped => "geometry_msgs/msg/PoseWithCovarianceStamped",
@@ -39,8 +39,8 @@ impl MessageType {
         self.ros_name().replace("/msg/", "::msg::dds_::") + "_"
     }
 
-    /// The hash of the type's description (REP-2011, version RIHS01). Whoever has another
-    /// description of the type has another hash, and so another key.
+    /// The hash of the type's description (REP-2011, version RIHS01). Another description of the
+    /// type has another hash, and so another key.
     pub fn hash(self) -> &'static str {
         match self {
             Self::PoseWithCovarianceStamped => {
@@ -70,7 +70,7 @@ pub trait Ros2Message: Serialize + Sized {
             message: Self::TYPE.ros_name(),
             reason: error.to_string(),
         };
-        // Alignment counts from after the header, so the body is encoded by itself.
+        // Alignment is relative to the end of the header, so the body is encoded separately.
         let body = cdr_encoding::to_vec::<_, LittleEndian>(self).map_err(failed)?;
         Ok([&ENCAPSULATION[..], &body].concat())
     }
@@ -81,13 +81,13 @@ pub trait Ros2Message: Serialize + Sized {
 pub struct Time {
     /// Whole seconds, rounded down.
     pub sec: i32,
-    /// Nanoseconds on top, below 1,000,000,000.
+    /// Additional nanoseconds, below 1,000,000,000.
     pub nanosec: u32,
 }
 
 impl Time {
-    /// The time of `utc_ns` nanoseconds since the Unix epoch; `None` outside the years 1901 to
-    /// 2038, which is all that 32 bits of seconds hold.
+    /// The time of `utc_ns` nanoseconds since the Unix epoch. `None` outside the years 1901 to
+    /// 2038, the range of 32 bits of seconds.
     pub fn from_utc_ns(utc_ns: i64) -> Option<Self> {
         const SECOND_NS: i64 = 1_000_000_000;
         Some(Self {
@@ -105,9 +105,9 @@ impl Time {
 /// `std_msgs/msg/Header`.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
 pub struct Header {
-    /// When it was measured.
+    /// Time of the measurement.
     pub stamp: Time,
-    /// The frame in which it is expressed.
+    /// The frame of its coordinates.
     pub frame_id: String,
 }
 
@@ -117,7 +117,7 @@ pub type Matrix6 = [[f64; 6]; 6];
 /// `geometry_msgs/msg/PoseWithCovariance`.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 pub struct PoseWithCovariance {
-    /// Where the origin is, metres.
+    /// Position of the origin, metres.
     pub position: [f64; 3],
     /// The rotation into the frame of the header, quaternion x y z w.
     pub orientation: [f64; 4],
@@ -146,7 +146,7 @@ pub struct TransformStamped {
     pub header: Header,
     /// The child frame.
     pub child_frame_id: String,
-    /// Where the child's origin is in the header's frame, metres.
+    /// Position of the child's origin in the header's frame, metres.
     pub translation: [f64; 3],
     /// The rotation, header's frame from child, quaternion x y z w.
     pub rotation: [f64; 4],
@@ -168,7 +168,7 @@ impl Ros2Message for TfMessage {
 pub struct OdometryMessage {
     /// Time, and the frame of the pose.
     pub header: Header,
-    /// The frame of the twist, and whose pose it is.
+    /// The frame of the velocities, whose pose this is.
     pub child_frame_id: String,
     /// Header's frame from child.
     pub pose: PoseWithCovariance,

@@ -1,6 +1,6 @@
-//! Names of drones as ROS allows them.
+//! Conversion of drones' names to valid ROS names.
 //!
-//! A drone's name may have `-` and `.`, and begin with a digit. A name in a ROS topic may not (ROS
+//! A drone's name may have `-` and `.`, and begin with a digit. A name in a ROS topic cannot (ROS
 //! 2's design article "Topic and Service name mapping to DDS").
 
 use std::collections::{BTreeMap, btree_map::Entry};
@@ -9,9 +9,9 @@ use flockeye_contract::wire::{is_name, shortened};
 
 use crate::error::{MAX_DRONES, Ros2Error};
 
-/// What a drone's name is in ROS. What is neither letter nor digit becomes `_`, several of them in
-/// a row become one, and a name that begins with none of the letters has an `n` before it: `kite-2`
-/// is `kite_2`, and `7` is `n7`. So two names may become the same.
+/// A drone's name in ROS. Each run of characters that are neither letter nor digit becomes one `_`.
+/// A name that does not begin with a letter gets an `n` before it: `kite-2` is `kite_2`, and `7` is
+/// `n7`. So two names may become the same.
 pub fn ros_name(name: &str) -> String {
     let mut mapped = String::with_capacity(name.len() + 1);
     if !name.starts_with(|first: char| first.is_ascii_alphabetic()) {
@@ -53,7 +53,7 @@ impl Names {
         }
     }
 
-    /// What `name` is in ROS. A drone that is new here is remembered.
+    /// Returns the name in ROS of the drone `name`. A new drone is added.
     pub(crate) fn admit(&mut self, name: &str) -> Result<String, Ros2Error> {
         let refused = |reason| Ros2Error::Name { name: shortened(name), reason };
         if !is_name(name) {

@@ -1,4 +1,4 @@
-//! The node as the rest of the program sees it.
+//! The node's interface for the rest of the program.
 
 use std::{
     sync::{
@@ -11,7 +11,6 @@ use std::{
 use flockeye_contract::wire::{is_name, shortened};
 use flockeye_network::{SendCounters, spawn};
 use flockeye_runtime::lock::lock;
-use flockeye_runtime::slots::Closed;
 
 use crate::error::Ros2Error;
 use crate::messages::{Ros2Message, TfMessage};
@@ -22,14 +21,14 @@ use crate::session::Ros2Session;
 
 /// The ROS 2 node `/<observer>/flockeye`, which publishes until dropped.
 ///
-/// What is published goes into a slot of its topic, and the call returns; a separate thread hands
-/// it to Zenoh. So neither a router that is not there nor a stalled link ever blocks the caller:
-/// waiting messages are replaced by newer ones.
+/// A published message goes into a slot of its topic, and the call returns. A separate thread
+/// passes it to Zenoh. So neither a missing router nor a blocked link ever blocks the caller: newer
+/// messages replace those that wait.
 #[derive(Debug)]
 pub struct Ros2Node {
     /// The observer's name in ROS.
     observer: String,
-    /// What the node's topics are below, beginning with '/'.
+    /// The prefix of the node's topics, beginning with '/'.
     namespace: String,
     targets: Mutex<Names>,
     peers: Mutex<Names>,
@@ -38,13 +37,12 @@ pub struct Ros2Node {
 }
 
 impl Ros2Node {
-    /// Makes the node of the drone `observer`. Returns at once: the session, which is its own, is
-    /// opened in the background, whenever a router comes. Lost links are restored in the background
-    /// too.
+    /// Creates the node of the drone `observer`. Returns at once: its own session is opened in the
+    /// background, as soon as a router is there. Lost links are restored in the background too.
     ///
     /// # Errors
-    /// [`Ros2Error::Network`] says what to change, or that there is no thread; [`Ros2Error::Name`]:
-    /// `observer` is no name of a drone.
+    /// [`Ros2Error::Network`]: a parameter is invalid, or no thread can be started.
+    /// [`Ros2Error::Name`]: `observer` is no name of a drone.
     pub fn open(parameters: &Ros2Parameters, observer: &str) -> Result<Self, Ros2Error> {
         parameters.check()?;
         if !is_name(observer) {
@@ -71,12 +69,12 @@ impl Ros2Node {
         })
     }
 
-    /// Publishes where a neighbour is, on `/<observer>/neighbours/<target>/pose`. Returns at once.
+    /// Publishes a neighbour's pose on `/<observer>/neighbours/<target>/pose`. Returns at once.
     ///
     /// # Errors
     /// [`Ros2Error::Pose`], [`Ros2Error::Stamp`], [`Ros2Error::Name`], [`Ros2Error::Collision`] and
-    /// [`Ros2Error::TooManyDrones`] for a message that is not published; it is counted as failed,
-    /// and others are unaffected. [`Ros2Error::Closed`].
+    /// [`Ros2Error::TooManyDrones`] for a message that is not published. It is counted as failed,
+    /// and others are unaffected. [`Ros2Error::Closed`] after the end of the session.
     pub fn publish_neighbour(&self, neighbour: &RelativePose) -> Result<(), Ros2Error> {
         let put = || {
             let message = neighbour.message(&self.observer)?;
@@ -86,18 +84,18 @@ impl Ros2Node {
         self.counted(put())
     }
 
-    /// Publishes where the neighbours of one frame are, on `/tf`. Returns at once. All of them in
-    /// one call: a message that waits is replaced by the next.
+    /// Publishes the poses of a frame's neighbours on `/tf`. Returns at once. One call has all of
+    /// them, because the next message replaces one that waits.
     ///
     /// # Errors
-    /// As [`publish_neighbour`](Self::publish_neighbour): the first that cannot be published. The
-    /// others are published nevertheless.
+    /// As [`publish_neighbour`](Self::publish_neighbour): the first error. The other neighbours are
+    /// published nevertheless.
     pub fn publish_transforms(&self, neighbours: &[RelativePose]) -> Result<(), Ros2Error> {
         self.counted(self.put_transforms(neighbours))
     }
 
-    /// Publishes where a peer sees the observer, on `/<observer>/seen_by/<peer>/odometry`. Returns
-    /// at once.
+    /// Publishes the observer's pose relative to a peer on `/<observer>/seen_by/<peer>/odometry`.
+    /// Returns at once.
     ///
     /// # Errors
     /// As [`publish_neighbour`](Self::publish_neighbour).
@@ -111,7 +109,7 @@ impl Ros2Node {
         self.counted(put())
     }
 
-    /// How many messages were sent, replaced and refused.
+    /// Numbers of messages that were sent, replaced and refused.
     pub fn counters(&self) -> SendCounters {
         SendCounters {
             sent: self.session.sent.load(Relaxed),
@@ -120,12 +118,12 @@ impl Ros2Node {
         }
     }
 
-    /// Whether the session is open. A client's is once it has found its router.
+    /// Whether the session is open, with its router found.
     pub fn is_open(&self) -> bool {
         self.session.is_open.load(SeqCst)
     }
 
-    /// Puts what can be published; gives the first reason why another cannot.
+    /// Queues the valid transforms; returns the first error of another.
     fn put_transforms(&self, neighbours: &[RelativePose]) -> Result<(), Ros2Error> {
         let mut transforms = Vec::with_capacity(neighbours.len());
         let mut refused = Ok(());
@@ -147,7 +145,7 @@ impl Ros2Node {
 
     fn put<M: Ros2Message>(&self, topic: String, message: &M) -> Result<(), Ros2Error> {
         let payload = message.to_cdr()?;
-        self.session.outbox.put((topic, M::TYPE), payload).map_err(|Closed| Ros2Error::Closed)
+        self.session.outbox.put((topic, M::TYPE), payload).map_err(|_| Ros2Error::Closed)
     }
 
     fn counted(&self, published: Result<(), Ros2Error>) -> Result<(), Ros2Error> {
@@ -159,8 +157,9 @@ impl Ros2Node {
 }
 
 impl Drop for Ros2Node {
-    /// Sends what is waiting, then withdraws the node. On a stalled link this may take two seconds,
-    /// after which Zenoh closes the link. A session that is not open yet is not waited for.
+    /// Sends the waiting messages, then withdraws the node. On a blocked link this may take two
+    /// seconds, after which Zenoh closes the link. A session that is not open yet is not waited
+    /// for.
     fn drop(&mut self) {
         self.session.outbox.close();
         if !self.is_open() {

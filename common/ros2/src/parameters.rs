@@ -1,4 +1,4 @@
-//! How to reach the ROS nodes, and the check of these parameters.
+//! Parameters of the link to the ROS nodes, and their check.
 
 use serde_json::json;
 
@@ -9,19 +9,19 @@ use flockeye_network::endpoint::{check_connect, check_each, check_protocol};
 const MAX_DOMAIN: u32 = 232;
 /// Maximum characters of a namespace: the longest topic below it stays within ROS's 247.
 const MAX_NAMESPACE_CHARS: usize = 100;
-/// How long a link may take to open, milliseconds.
+/// Timeout for opening a link, milliseconds.
 const OPEN_TIMEOUT_MS: u64 = 1_000;
 
-/// How to reach the ROS nodes. By default through the router on this machine, which `ros2 run
-/// rmw_zenoh_cpp rmw_zenohd` starts.
+/// Parameters of the link to the ROS nodes. The default is the router on this machine, which `ros2
+/// run rmw_zenoh_cpp rmw_zenohd` starts.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Ros2Parameters {
-    /// The ROS domain, as the nodes have it in `ROS_DOMAIN_ID`.
+    /// The ROS domain, equal to the nodes' `ROS_DOMAIN_ID`.
     pub domain: u32,
     /// Routers to connect to: `tcp/HOST:PORT` or `udp/ADDRESS:PORT`. The first that answers is
-    /// used. It passes everything on to the ROS nodes that are linked with it.
+    /// used. It passes all messages on to the ROS nodes that are linked with it.
     pub connect: Vec<String>,
-    /// What all topics but `/tf` are below, such as `/swarm`; empty: nothing.
+    /// The prefix of all topics but `/tf`, such as `/swarm`; empty: none.
     pub namespace: String,
 }
 
@@ -32,7 +32,7 @@ impl Default for Ros2Parameters {
 }
 
 impl Ros2Parameters {
-    /// Refuses what cannot work.
+    /// Refuses parameters that cannot work.
     ///
     /// # Errors
     /// [`NetworkError::Parameter`] names the field and the cure.
@@ -41,7 +41,7 @@ impl Ros2Parameters {
             let reason = format!("is no ROS domain, which is 0 to {MAX_DOMAIN}");
             return Err(NetworkError::parameter("domain", &self.domain.to_string(), reason));
         }
-        // ROS 2 has certificates of its own, which this node has not.
+        // ROS 2 has certificates of its own, which this node lacks.
         check_each("connect", &self.connect, |endpoint| check_protocol(endpoint, false))?;
         check_each("connect", &self.connect, check_connect)?;
         if self.connect.is_empty() {
@@ -59,7 +59,8 @@ impl Ros2Parameters {
             "listen": { "endpoints": [] },
             "connect": {
                 "endpoints": self.connect,
-                // It fails without a router; we retry ourselves, so that it can be cancelled.
+                // Opening fails without a router, and is retried outside of Zenoh, so that it can
+                // be cancelled.
                 "timeout_ms": OPEN_TIMEOUT_MS,
                 "exit_on_failure": true,
                 "retry": {
@@ -74,15 +75,15 @@ impl Ros2Parameters {
                 },
                 "link": {
                     "tx": {
-                        // Poses that wait while a link is stuck are stale when they are sent: so
-                        // small batches, and a small socket buffer.
+                        // Poses that wait while a link is blocked are stale when they are sent. So
+                        // batches are small, and the socket's buffer too.
                         "batch_size": 8_192,
                         "queue": {
                             "congestion_control": { "block": { "wait_before_close": 2_000_000 } },
                         },
                     },
                     "tcp": { "so_sndbuf": 32_768 },
-                    // Nothing long is meant for us; a long message must not take our memory
+                    // This node receives no long messages; a long one must not exhaust the memory
                     // (Zenoh's default is 1 GiB).
                     "rx": { "max_message_size": 65_536 },
                 },

@@ -1,4 +1,4 @@
-//! Poses as they come in, and the messages that they become.
+//! Relative poses of drones, and their conversion to messages.
 
 use flockeye_contract::wire::shortened;
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
@@ -8,32 +8,33 @@ use crate::messages::{
     Header, OdometryMessage, PoseWithCovariance, PoseWithCovarianceStamped, Time, TransformStamped,
 };
 
-/// The variance that stands for "not known", (m/s)² or (rad/s)²: so large that no filter heeds the
-/// value. ROS has no other way to say so, and 0 would mean that it is known exactly.
+/// The variance that means "unknown", (m/s)² or (rad/s)²: so large that a filter ignores the value.
+/// ROS has no other code for it, and 0 would mean an exact value.
 pub const UNKNOWN_VARIANCE: f64 = 1e6;
 
-/// How far a quaternion's norm may be from 1.
+/// Maximum difference of a quaternion's norm from 1.
 const NORM_TOLERANCE: f64 = 1e-3;
 
-/// Where one drone sees another.
+/// The pose of one drone relative to another.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RelativePose {
-    /// Name of the drone that is not the observer: the neighbour that it sees, or the peer that
-    /// sees it.
+    /// Name of the other drone: the neighbour in the observer's sighting, or the peer with a
+    /// sighting of the observer.
     pub name: String,
     /// Mid-exposure, nanoseconds since the Unix epoch.
     pub stamp_utc_ns: i64,
-    /// Origin of the seen drone in the seeing one's frame (x forward, y left, z up; REP-103),
-    /// metres.
+    /// Position of the target drone in the frame of the drone with the camera, metres. Axes: x
+    /// forward, y left, z up (REP-103).
     pub position: [f64; 3],
-    /// Orientation, seeing drone from seen one, quaternion x y z w.
+    /// Orientation of the target drone in the same frame, quaternion x y z w.
     pub orientation: [f64; 4],
-    /// Covariance 6x6, row by row: position (m), then rotation vector (rad), both in the seeing
-    /// drone's frame.
+    /// Covariance 6x6, row by row: position (m), then rotation vector (rad), both in the same
+    /// frame.
     pub covariance: [f64; 36],
 }
 
-/// Where a peer sees the observer, and its velocity relative to the peer, along the peer's axes.
+/// The observer's pose in a peer's sighting, and its velocity relative to the peer, along the
+/// peer's axes.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ObserverSeen {
     /// The observer's pose in the peer's frame, with the peer's name.
@@ -44,12 +45,12 @@ pub struct ObserverSeen {
     pub angular_velocity: [f64; 3],
 }
 
-/// The frame of a drone's body. `drone` is its name in ROS.
+/// The frame name of a drone's body. `drone` is its name in ROS.
 fn body_frame(drone: &str) -> String {
     format!("{drone}/base_link")
 }
 
-/// The observer as a peer sees it. Both names are those in ROS.
+/// Converts a peer's sighting of the observer to a message. Both names are those in ROS.
 pub(crate) fn odometry(
     seen: &ObserverSeen,
     stamp: Time,
@@ -58,7 +59,7 @@ pub(crate) fn odometry(
 ) -> OdometryMessage {
     let [x, y, z, w] = seen.pose.orientation;
     let peer_from_observer = UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z));
-    // ROS has velocities along the axes of the drone that moves.
+    // ROS expresses velocities along the axes of the moving drone.
     let turned = |along| peer_from_observer.inverse_transform_vector(&Vector3::from(along)).into();
     OdometryMessage {
         header: Header { stamp, frame_id: body_frame(peer) },
@@ -84,8 +85,8 @@ impl RelativePose {
         })
     }
 
-    /// The neighbour's pose as a transform; both names are those in ROS. The child's name has both
-    /// drones', so that a drone that is seen by several does not get several parents.
+    /// The neighbour's pose as a transform; both names are those in ROS. The child's name contains
+    /// both drones', so that a drone in several sightings has one parent each.
     ///
     /// # Errors
     /// [`Ros2Error::Pose`] and [`Ros2Error::Stamp`].
@@ -108,7 +109,7 @@ impl RelativePose {
         }
     }
 
-    /// Refuses what is no pose; gives its time.
+    /// Checks the pose; returns its time.
     pub(crate) fn check(&self) -> Result<Time, Ros2Error> {
         let name = &self.name;
         check_finite(name, "a coordinate of the position", &self.position)?;
@@ -131,7 +132,7 @@ impl RelativePose {
 }
 
 impl ObserverSeen {
-    /// Refuses what is no pose or velocity; gives its time.
+    /// Checks the pose and the velocities; returns the time.
     pub(crate) fn check(&self) -> Result<Time, Ros2Error> {
         let name = &self.pose.name;
         check_finite(name, "a part of the velocity", &self.linear_velocity)?;

@@ -1,4 +1,4 @@
-//! The thread that opens the session and hands messages to Zenoh.
+//! The thread that opens the session and passes messages to Zenoh.
 
 use std::{
     collections::{BTreeMap, btree_map::Entry},
@@ -22,13 +22,13 @@ use crate::keys::{NodeIdentity, attachment, gid, topic_key};
 use crate::messages::MessageType;
 use crate::parameters::Ros2Parameters;
 
-/// How long a session that could not be opened is left alone.
+/// Time between two attempts to open the session.
 const RETRY: Duration = Duration::from_secs(1);
 
-/// The name of a topic, beginning with '/', and what is published on it.
+/// The name of a topic, beginning with '/', and its type of message.
 type Topic = (String, MessageType);
 
-/// The node's session, which the node and the thread share.
+/// State that the node and the thread share.
 #[derive(Debug)]
 pub(crate) struct Ros2Session {
     parameters: Ros2Parameters,
@@ -41,10 +41,10 @@ pub(crate) struct Ros2Session {
     pub(crate) failed: AtomicU64,
 }
 
-/// A publisher as ROS nodes see it.
+/// A publisher that is announced to ROS nodes.
 struct Announced {
     publisher: Publisher<'static>,
-    /// Undeclared when dropped.
+    /// Announces the publisher until dropped.
     _token: LivelinessToken,
     gid: [u8; 16],
     sequence: i64,
@@ -68,13 +68,13 @@ impl Ros2Session {
         if let Err(error) = self.serve(&session) {
             tracing::error!("nothing is published to ROS 2 any more: {error}");
         }
-        // From here on errors are returned to the caller.
+        // The closed outbox returns errors to the caller from now on.
         self.outbox.close();
     }
 
-    /// Opens the session, however long that takes; none once the node is dropped.
+    /// Opens the session, without a timeout; none once the node is dropped.
     fn open(&self) -> Option<Session> {
-        // Each kind of failure is said once: the second may come long after the first.
+        // Each kind of error is logged once: the second may occur long after the first.
         let mut told = Vec::new();
         let config = self.parameters.zenoh_config().to_string();
         loop {
@@ -154,8 +154,8 @@ fn send(
     announced.publisher.put(payload).attachment(attached).wait()
 }
 
-/// Declares a publisher with the quality of service that its token tells, as rmw_zenoh does:
-/// reliable, but a congested link drops messages and never holds the thread up.
+/// Declares a publisher with the quality of service in its token, as rmw_zenoh does. It is
+/// reliable, but a congested link drops messages and never blocks the thread.
 fn announce(
     session: &Session,
     node: &NodeIdentity,

@@ -1,4 +1,4 @@
-//! Threads for work in the background, which gives way to all else.
+//! Threads for background work, with a lower priority than all others.
 
 use std::io;
 use std::thread::{Builder, JoinHandle};
@@ -9,15 +9,14 @@ use flockeye_config::Scheduling;
 
 use crate::scheduling::{apply_to_this_thread, of_this_thread};
 
-/// Added to the process's nice value: under load such a thread gets a tenth of the processor time
+/// Added to the process's nice value. Under load such a thread gets a tenth of the processor time
 /// of a thread with nice value 0.
 const NICER: i32 = 10;
 /// The largest nice value.
 const NICEST: i32 = 19;
 
-/// Starts a thread that gives way to other threads and processes: its nice value is raised, and it
-/// leaves the real-time class if the process is in one. If the system refuses either, the thread
-/// runs as it is.
+/// Starts a thread of lower priority: its nice value is raised, and it leaves the real-time class.
+/// If the system refuses either, the thread runs with its present priority.
 ///
 /// # Errors
 /// The system starts no thread.
@@ -37,8 +36,7 @@ pub fn spawn<T: Send + 'static>(
 /// Brings the calling thread from real time to the normal policy.
 fn leave_real_time() {
     if of_this_thread().is_some_and(Scheduling::is_real_time) {
-        // Leaving real time needs no privilege. If it is refused all the same, the thread still
-        // works.
+        // Leaving real time needs no privilege. If it is refused, the thread still works.
         let _ = apply_to_this_thread(Scheduling::Normal, 0);
     }
 }

@@ -1,4 +1,4 @@
-//! How long to wait before something that failed is tried again.
+//! Waits between attempts after a failure.
 
 use std::time::Duration;
 
@@ -17,7 +17,7 @@ impl Backoff {
         Self { min, max: max.max(min), next: min }
     }
 
-    /// How long to wait after a failure.
+    /// Wait after a failure.
     pub fn after_failure(&mut self) -> Duration {
         let wait = self.next;
         self.next = (wait * 2).min(self.max);

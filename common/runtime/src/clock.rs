@@ -1,4 +1,5 @@
-//! CLOCK_MONOTONIC, the clock of everything inside a machine; and UTC, for what others state in it.
+//! CLOCK_MONOTONIC, the clock of all processes on a machine, and UTC, the clock of reports to
+//! others.
 
 use std::time::Duration;
 
@@ -26,8 +27,8 @@ pub fn processor_ns() -> i64 {
     nanoseconds(clock_gettime(ClockId::ProcessCPUTime))
 }
 
-/// When a frame was exposed, nanoseconds of CLOCK_MONOTONIC. In a lossless run exposures have the
-/// recording's clock, so the publication counts.
+/// Exposure time of a frame, nanoseconds of CLOCK_MONOTONIC. In a lossless run exposures have the
+/// recording's clock, so the publication time is returned.
 pub fn exposure_ns(stamp: &FrameStamp, flow: Flow) -> i64 {
     match flow {
         Flow::Latest => stamp.exposure_ns,
@@ -35,7 +36,7 @@ pub fn exposure_ns(stamp: &FrameStamp, flow: Flow) -> i64 {
     }
 }
 
-/// How long it is from `now_ns` to `then_ns`; zero if that has passed.
+/// Time from `now_ns` to `then_ns`; zero if that has passed.
 pub fn until(then_ns: i64, now_ns: i64) -> Duration {
     Duration::from_nanos(u64::try_from(then_ns.saturating_sub(now_ns)).unwrap_or(0))
 }

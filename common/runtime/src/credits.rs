@@ -1,4 +1,4 @@
-//! When a source may send its next frame.
+//! Flow control: when a source may send its next frame.
 //!
 //! In the flow `latest` it may always send. In the flow `lossless` it waits for a plan: fusion
 //! publishes one to open the flow, and one after each frame. So no frame overtakes another, and no
@@ -11,10 +11,10 @@ use crate::clock;
 use crate::ports::{PortError, Ports, Subscriber};
 use flockeye_config::{Flow, Pipeline};
 
-/// Time after which a source that may not send asks again, nanoseconds.
+/// Time after which a waiting source checks again, nanoseconds.
 const RETRY_NS: i64 = 100_000_000;
 
-/// The source's side of the flow.
+/// Flow control of a source.
 pub struct Credits {
     /// Plans are the credits; `None` in the flow `latest`.
     plans: Option<Subscriber<Plans>>,
@@ -68,12 +68,12 @@ impl Credits {
         Ok(self.state == State::Open)
     }
 
-    /// When a source that may not send asks again, CLOCK_MONOTONIC, nanoseconds.
+    /// Time of the next check by a waiting source, CLOCK_MONOTONIC, nanoseconds.
     pub fn retry_ns() -> i64 {
         clock::monotonic_ns() + RETRY_NS
     }
 
-    /// A frame was sent.
+    /// Notes that a frame was sent.
     pub fn note_sent(&mut self, frame: FrameStamp) {
         if self.plans.is_some() {
             self.state = State::Awaited { frame, since_ns: clock::monotonic_ns() };

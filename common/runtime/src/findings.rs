@@ -1,8 +1,8 @@
-//! What is found when a machine is examined before a flight (`flockeye doctor`).
+//! Findings of the examination of a machine before a flight (`flockeye doctor`).
 //!
-//! Each stage knows what it needs of a machine, so each stage's program examines it: started with
-//! the one argument [`EXAMINE`], and the configuration as JSON on standard input, it prints a
-//! [`Report`] as JSON.
+//! Each stage's program examines the machine for its own requirements. It is started with the one
+//! argument [`EXAMINE`], and the configuration as JSON on standard input. It prints a [`Report`] as
+//! JSON.
 
 use std::io::{Read, Write};
 
@@ -13,70 +13,70 @@ use serde::{Deserialize, Serialize};
 /// The argument with which a stage's program examines the machine instead of joining a pipeline.
 pub const EXAMINE: &str = "examine";
 
-/// How grave a finding is.
+/// Severity of a finding.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Gravity {
-    /// As it should be.
+    /// No problem.
     Fine,
-    /// Worth knowing.
+    /// Information.
     Note,
-    /// It flies, and worse than it could.
+    /// The drone can fly, with less performance than possible.
     Warning,
-    /// It does not fly.
+    /// The drone cannot fly.
     Problem,
 }
 
-/// What was found at one place.
+/// Finding about one subject.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Finding {
-    /// What it is about, in a word or two: `camera`, `clock`.
+    /// Subject in a word or two: `camera`, `clock`.
     pub topic: String,
-    /// How grave it is.
+    /// Severity.
     pub gravity: Gravity,
-    /// What was found.
+    /// The finding in words.
     pub what: String,
-    /// What to do about it, where something is to be done.
+    /// Cure, if there is something to do.
     pub cure: Option<String>,
 }
 
 impl Finding {
-    /// Something that is as it should be.
+    /// A finding without a problem.
     pub fn fine(topic: &str, what: impl Into<String>) -> Self {
         Self { topic: topic.to_owned(), gravity: Gravity::Fine, what: what.into(), cure: None }
     }
 
-    /// Something worth knowing.
+    /// A finding for information.
     pub fn note(topic: &str, what: impl Into<String>) -> Self {
         Self { gravity: Gravity::Note, ..Self::fine(topic, what) }
     }
 
-    /// Something that makes flights worse.
+    /// A finding that makes flights worse.
     pub fn warning(topic: &str, what: impl Into<String>, cure: impl Into<String>) -> Self {
         let cure = Some(cure.into());
         Self { gravity: Gravity::Warning, cure, ..Self::fine(topic, what) }
     }
 
-    /// Something that makes flights impossible.
+    /// A finding that makes flights impossible.
     pub fn problem(topic: &str, what: impl Into<String>, cure: impl Into<String>) -> Self {
         let cure = Some(cure.into());
         Self { gravity: Gravity::Problem, cure, ..Self::fine(topic, what) }
     }
 
-    /// The finding, with what to do about it.
+    /// The finding with its cure.
     pub fn with_cure(self, cure: impl Into<String>) -> Self {
         Self { cure: Some(cure.into()), ..self }
     }
 }
 
-/// What a stage's program prints.
+/// Output of a stage's program.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Report {
-    /// The version of the contract that it was built with.
+    /// Version of the contract that it was built with.
     pub contract: String,
-    /// The version of the program.
+    /// Version of the program.
     pub version: String,
-    /// What it found.
+    /// Its findings.
     pub findings: Vec<Finding>,
 }
 
@@ -91,7 +91,7 @@ impl Report {
     }
 }
 
-/// Reads the configuration from `input`, and writes what `examine` finds to `output`.
+/// Reads the configuration from `input`, and writes the findings of `examine` to `output`.
 ///
 /// # Errors
 /// The configuration cannot be read, or the report cannot be written.

@@ -10,7 +10,7 @@ use flockeye_geometry::statistics::{median, quantile};
 use crate::clock;
 use crate::logs::Throttle;
 
-/// What a stage counts. Ports and the stage itself share one.
+/// Counters of a stage. Ports and the stage itself share one.
 #[derive(Debug, Default)]
 pub struct Counters {
     taken: Cell<u64>,
@@ -20,12 +20,12 @@ pub struct Counters {
     queued: Cell<u64>,
     latencies_ns: RefCell<Vec<i64>>,
     state: Cell<Option<StageState>>,
-    /// Since when what the stage is linked with is missing.
+    /// Start of the absence of a linked component.
     missing_since_ns: Cell<Option<i64>>,
     detail: RefCell<String>,
 }
 
-/// Absence of what a stage is linked with, after which the stage is degraded, nanoseconds.
+/// Absence of a linked component after which the stage is degraded, nanoseconds.
 const MISSING_NS: i64 = 5_000_000_000;
 
 /// Latencies kept between two reports; further ones are not sampled.
@@ -52,12 +52,12 @@ impl Counters {
         self.failed.set(self.failed.get() + count);
     }
 
-    /// Sets how many messages are in work now.
+    /// Sets the number of messages in work.
     pub fn set_queued(&self, count: usize) {
         self.queued.set(count as u64);
     }
 
-    /// Records how long one unit of the stage's work took.
+    /// Records the latency of one unit of the stage's work.
     pub fn add_latency_ns(&self, latency_ns: i64) {
         let mut latencies = self.latencies_ns.borrow_mut();
         if latencies.len() < MAX_LATENCIES {
@@ -65,13 +65,13 @@ impl Counters {
         }
     }
 
-    /// What the stage works with, in words.
+    /// Sets the device or component that the stage works with, in words.
     pub fn set_detail(&self, detail: impl Into<String>) {
         *self.detail.borrow_mut() = detail.into();
     }
 
-    /// Counts a message to something outside the pipeline as published or failed. `failures` limits
-    /// the warning `what`.
+    /// Counts a message to a receiver outside the pipeline as published or failed. `failures`
+    /// limits the warning `what`.
     pub fn note_sent<E: std::fmt::Display>(
         &self,
         sent: Result<(), E>,
@@ -85,13 +85,13 @@ impl Counters {
         }
     }
 
-    /// Overrides the state that the loop reports, for example `degraded` while a camera is away.
+    /// Overrides the state that the loop reports, for example `degraded` while a camera is missing.
     pub fn set_state(&self, state: Option<StageState>) {
         self.state.set(state);
     }
 
-    /// Notes whether what the stage is linked with, such as a router, is there at `now_ns`. After
-    /// five seconds of absence the loop reports `degraded`.
+    /// Notes whether a linked component, such as a router, is present at `now_ns`. After five
+    /// seconds of absence the loop reports `degraded`.
     pub fn note_link(&self, is_there: bool, now_ns: i64) {
         let since_ns = (!is_there).then(|| self.missing_since_ns.get().unwrap_or(now_ns));
         self.missing_since_ns.set(since_ns);
@@ -99,12 +99,12 @@ impl Counters {
         self.set_state(is_long.then_some(StageState::Degraded));
     }
 
-    /// The report, and a fresh start for the latencies.
+    /// The report. The collection of latencies starts anew.
     pub(crate) fn report(&self, identity: &Identity, state: StageState) -> Health {
         let latencies = std::mem::take(&mut *self.latencies_ns.borrow_mut());
         let mut latencies: Vec<f64> = latencies.into_iter().map(|ns| ns as f64).collect();
         latencies.sort_unstable_by(f64::total_cmp);
-        // The contract has -1 where nothing was done.
+        // The contract uses -1 where nothing was done.
         let latency_ns = |found: Option<f64>| found.map_or(-1, |ns| ns.round() as i64);
         Health {
             sent_ns: clock::monotonic_ns(),
@@ -127,18 +127,18 @@ impl Counters {
     }
 }
 
-/// Which process of the pipeline this is.
+/// Identity of a process in the pipeline.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Identity {
     /// The stage's name in pipeline.yaml.
     pub stage: String,
-    /// Which of its workers, from 0.
+    /// Number of the worker, from 0.
     pub replica: u32,
     /// Rises each time the process is replaced.
     pub generation: u32,
 }
 
-/// How often health is sent.
+/// Period of the health reports.
 pub(crate) const HEALTH_PERIOD: Duration = Duration::from_millis(250);
 
 /// Resident memory of this process, from /proc.

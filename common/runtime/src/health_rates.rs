@@ -1,12 +1,12 @@
-//! Rates that follow from a process's reports of its health over time.
+//! Rates from successive health reports of a process.
 
 use flockeye_contract::{Health, StageState};
 
-/// A process that has reported nothing for this long is silent, nanoseconds.
+/// Silence after which a process is shown as silent, nanoseconds.
 const SILENCE_NS: i64 = 2_000_000_000;
-/// Rates are taken over at least this long, seconds.
+/// Minimum interval of a rate, seconds.
 const MIN_SPAN_S: f64 = 0.1;
-/// Share of a new rate in the one that is shown: people read it.
+/// Weight of a new rate in the smoothed one, which is displayed.
 const BLEND: f64 = 0.3;
 
 /// The newest report of a process, and rates that are smoothed over some reports.
@@ -14,18 +14,18 @@ const BLEND: f64 = 0.3;
 pub struct HealthRates {
     /// The newest report.
     pub last: Health,
-    /// Messages that it took, in each second.
+    /// Messages taken per second.
     pub taken_per_s: f64,
-    /// Messages that it published, in each second.
+    /// Messages published per second.
     pub published_per_s: f64,
-    /// Processors that it used.
+    /// Number of processors in use.
     pub processor_share: f64,
-    /// Median and 99 % quantile of its latency where it reported them last, milliseconds.
+    /// Median and 99 % quantile of its last reported latency, milliseconds.
     pub latency_ms: Option<[f64; 2]>,
 }
 
 impl HealthRates {
-    /// The first report.
+    /// Starts with the first report.
     pub fn new(first: &Health) -> Self {
         let mut rates = Self {
             last: *first,
@@ -56,7 +56,7 @@ impl HealthRates {
         self.last = *health;
     }
 
-    /// How long it has reported nothing, nanoseconds.
+    /// Time since the last report, nanoseconds.
     pub fn silent_ns(&self, now_ns: i64) -> i64 {
         now_ns.saturating_sub(self.last.sent_ns)
     }
@@ -66,7 +66,7 @@ impl HealthRates {
         self.silent_ns(now_ns) > SILENCE_NS
     }
 
-    /// What it is doing, in a word: its state, or `silent`.
+    /// State in a word, or `silent`.
     pub fn state(&self, now_ns: i64) -> &'static str {
         match self.is_silent(now_ns) {
             true => "silent",

@@ -1,7 +1,8 @@
-//! Where one pipeline's shared memory and files live, and who owns it.
+//! Instances: folder, shared memory and owner of each pipeline.
 //!
-//! Each instance has its own folder, with the resolved configuration, iceoryx2's files and a lock,
-//! and its own prefix in /dev/shm. Instances, tests and leftovers of dead runs never share a name.
+//! Each instance has its own folder and its own prefix in /dev/shm. The folder holds the resolved
+//! configuration, iceoryx2's files and a lock. Instances, tests and leftovers of dead runs never
+//! share a name.
 
 use std::fs::{File, OpenOptions};
 use std::io::{self, Read, Seek, Write};
@@ -39,11 +40,11 @@ const LONGEST_SOCKET_PATH: usize = 107;
 /// Bytes that iceoryx2 adds to a prefix for a socket's name: a number of up to 33 digits, `.event`.
 const SOCKET_NAME: usize = 39;
 
-/// Why an instance cannot be had.
+/// Error of taking or reading an instance.
 #[expect(missing_docs, reason = "the texts name the fields")]
 #[derive(Debug, thiserror::Error)]
 pub enum InstanceError {
-    /// Another pipeline has the name.
+    /// Another pipeline uses the name.
     #[error(
         "a pipeline called '{name}' is running already (process {pid}). Cure: stop it, or give this \
          one another name with --set instance=NAME"
@@ -55,13 +56,13 @@ pub enum InstanceError {
          over, `flockeye stop --instance {name}` ends them"
     )]
     Kept { name: String, pids: String },
-    /// A name that would not lead to a folder of its own.
+    /// The name would not lead to a folder of its own.
     #[error("'{name}' cannot be an instance's name: use 1 to 31 letters, digits, '-' and '_'")]
     Name { name: String },
     /// A file of the instance cannot be read or written.
     #[error("{path}: {error}")]
     File { path: PathBuf, error: io::Error },
-    /// The folder's path is too long or has characters that iceoryx2 does not take.
+    /// The folder's path is too long or has characters that iceoryx2 does not accept.
     #[error(
         "iceoryx2 cannot keep its files in {path}; set TMPDIR to a short, plain path, or shorten the \
          instance's name"
@@ -73,7 +74,7 @@ pub enum InstanceError {
          or set TMPDIR to a folder of your own"
     )]
     Foreign { path: PathBuf, owner: u32, mode: u32 },
-    /// The launcher's files are not there.
+    /// The launcher's files are missing.
     #[error(
         "{FOLDER_VARIABLE} is not set: stages are started by `flockeye up`, or by hand with the \
          folder of a running instance in it"
@@ -97,7 +98,7 @@ impl Instance {
         Self { name: name.to_owned(), folder: all_folder().join(name) }
     }
 
-    /// The instance that this process is a stage of.
+    /// The instance of which this process is a stage.
     ///
     /// # Errors
     /// [`InstanceError::NoFolder`] where the launcher's variable is missing.
@@ -108,7 +109,7 @@ impl Instance {
         Ok(Self { name: name.ok_or(InstanceError::NoFolder)?, folder })
     }
 
-    /// Every instance that left files on this machine.
+    /// All instances with files on this machine.
     pub fn all() -> Vec<Self> {
         let entries = std::fs::read_dir(all_folder()).into_iter().flatten().flatten();
         let mut names: Vec<_> =
@@ -117,12 +118,12 @@ impl Instance {
         names.iter().map(|name| Self::named(name)).collect()
     }
 
-    /// Whether a launcher has it, or its stages fly on without one.
+    /// Whether a launcher owns it, or its stages fly on without one.
     pub fn is_running(&self) -> bool {
         self.has_launcher() || !kept::living(&self.folder).is_empty()
     }
 
-    /// Whether a living launcher has it.
+    /// Whether a living launcher owns it.
     pub fn has_launcher(&self) -> bool {
         // Only the owner keeps the lock for longer than this check.
         File::open(self.folder.join("lock"))
@@ -139,11 +140,11 @@ impl Instance {
         &self.folder
     }
 
-    /// What the names of its shared memory begin with.
+    /// Prefix of the names of its shared memory.
     ///
     /// It is a digest of the folder's path, which contains the user's number and the instance's
-    /// name. All prefixes have the same length, for two reasons: a socket's path contains folder
-    /// and prefix and has 107 bytes at most, and no instance's prefix may be the beginning of
+    /// name. All prefixes have the same length, for two reasons. A socket's path contains folder
+    /// and prefix and has 107 bytes at most. No instance's prefix may be the beginning of
     /// another's.
     pub fn prefix(&self) -> String {
         // FNV-1a (Fowler, Noll, Vo), the same in every process and release.
@@ -204,8 +205,8 @@ impl Instance {
     }
 
     /// Takes the instance for this process, together with the stages that fly on in it. Without
-    /// any, what a dead run left behind is cleared. With some, everybody is returned who has left a
-    /// record, and nothing is cleared.
+    /// such stages, leftovers of a dead run are removed. With some, all recorded processes are
+    /// returned, and nothing is removed.
     ///
     /// # Errors
     /// As [`Instance::take`], but for [`InstanceError::Kept`].
@@ -250,8 +251,8 @@ impl Instance {
         Ok((Ownership { instance: self.clone(), _lock: lock }, kept))
     }
 
-    /// Writes what stages read at their start: the resolved configuration, and iceoryx2's for
-    /// foreign ones.
+    /// Writes the files that stages read at their start: the resolved configuration, and iceoryx2's
+    /// for foreign stages.
     ///
     /// # Errors
     /// The files cannot be written.
@@ -262,7 +263,7 @@ impl Instance {
         written[FLOW] = resolved.pipeline.flow().name().into();
         written[RESOLVED] = resolved_file::section(resolved);
         let json = serde_json::to_vec_pretty(&written).map_err(|error| failed(error.into()))?;
-        // A stage that starts just now reads the old one or the new one, and never half of it.
+        // A stage that starts now reads the old file or the new one, and never half of it.
         write_whole(&self.pipeline_file(), &json).map_err(failed)?;
         let toml = format!(
             "# For stages in other languages: load this file as iceoryx2's global configuration.\n\
@@ -319,8 +320,8 @@ impl Instance {
     }
 }
 
-/// The right to an instance, until it is dropped or the process dies. Dropping it removes
-/// everything the instance had, unless stages fly on in it.
+/// Ownership of an instance, until it is dropped or the process dies. Dropping it removes all files
+/// of the instance, unless stages fly on in it.
 #[derive(Debug)]
 pub struct Ownership {
     instance: Instance,
@@ -342,7 +343,7 @@ impl Drop for Ownership {
     }
 }
 
-/// Makes a folder for this user alone, or makes sure that it is one.
+/// Creates a folder for this user alone, or checks that it is one.
 fn make_own(folder: &Path) -> Result<(), InstanceError> {
     let file_error = |error| InstanceError::File { path: folder.to_owned(), error };
     let mut builder = std::fs::DirBuilder::new();
@@ -351,7 +352,7 @@ fn make_own(folder: &Path) -> Result<(), InstanceError> {
         Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {}
         Err(error) => return Err(file_error(error)),
     }
-    // A link would lead to a folder of somebody's choice.
+    // A link would lead to a folder that another user chose.
     let found = std::fs::symlink_metadata(folder).map_err(file_error)?;
     let mode = found.mode() & 0o7777;
     let is_own = found.uid() == rustix::process::getuid().as_raw();
@@ -361,8 +362,8 @@ fn make_own(folder: &Path) -> Result<(), InstanceError> {
     Err(InstanceError::Foreign { path: folder.to_owned(), owner: found.uid(), mode })
 }
 
-/// Folder of all instances of this user. The service's user has it where systemd makes it, so that
-/// the tools that it runs find the service's pipeline.
+/// Folder of all instances of this user. For the service's user it is the folder that systemd
+/// creates, so that tools find the service's pipeline.
 fn all_folder() -> PathBuf {
     let user = rustix::process::getuid().as_raw();
     let base = match service_user() {

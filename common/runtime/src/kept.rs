@@ -1,10 +1,10 @@
-//! Processes that fly on when their launcher dies (`flockeye up --keep`), and what a new launcher
-//! needs to know of them.
+//! Processes that fly on when their launcher dies (`flockeye up --keep`), and their records for a
+//! new launcher.
 //!
-//! Each process writes a record of itself into the instance's folder before it becomes its stage,
-//! and keeps a lock on it for as long as it lives. The kernel frees the lock at its end, so a
-//! number that the system has given to another process deceives nobody. Processes that a stage
-//! starts itself inherit the lock unless they close it.
+//! Each process writes a record of itself into the instance's folder before it becomes its stage.
+//! It keeps a lock on the record for as long as it lives. The kernel frees the lock at its end, so
+//! a reused process number causes no mistake. Processes that a stage starts itself inherit the lock
+//! unless they close it.
 
 use std::fs::File;
 use std::io;
@@ -20,9 +20,9 @@ use serde::{Deserialize, Serialize};
 pub struct KeptProcess {
     /// The stage's name in pipeline.yaml.
     pub stage: String,
-    /// Which of its workers, from 0.
+    /// Number of the worker, from 0.
     pub replica: u32,
-    /// How often the worker's process was replaced.
+    /// Number of replacements of the worker's process.
     pub generation: u32,
     /// Its process number.
     pub pid: u32,
@@ -42,13 +42,13 @@ impl KeptProcess {
             .join(format!("{}.{}-{}.json", self.stage, self.replica, self.generation))
     }
 
-    /// The file that its output goes to. A pipe would end with the launcher that reads it.
+    /// The file of its output. A pipe would end with the launcher that reads it.
     pub fn output(&self, instance_folder: &Path) -> PathBuf {
         self.record(instance_folder).with_extension("log")
     }
 
-    /// Writes the record of this very process, which it is from now on until it ends, whatever
-    /// program it becomes.
+    /// Writes the record of this process. The record is valid until the process ends, even if it
+    /// executes another program.
     ///
     /// # Errors
     /// The file cannot be written.
@@ -58,8 +58,8 @@ impl KeptProcess {
         let mut file = File::create(&fresh)?;
         serde_json::to_writer(&mut file, self)?;
         flock(&file, FlockOperation::NonBlockingLockExclusive)?;
-        // The stage inherits the lock. It never learns of the descriptor, so nobody closes it
-        // before the end.
+        // The stage inherits the lock. No code of the stage has the descriptor, so it stays open
+        // until the end.
         fcntl_setfd(&file, FdFlags::empty())?;
         std::fs::rename(&fresh, &path)?;
         let _inherited = file.into_raw_fd();
@@ -72,7 +72,7 @@ impl KeptProcess {
             .is_ok_and(|file| flock(&file, FlockOperation::NonBlockingLockShared).is_err())
     }
 
-    /// Removes what it left behind after its end.
+    /// Removes its leftovers after its end.
     pub fn forget(&self, instance_folder: &Path) {
         for path in [self.record(instance_folder), self.output(instance_folder)] {
             if let Err(error) = std::fs::remove_file(&path)
@@ -84,7 +84,7 @@ impl KeptProcess {
     }
 }
 
-/// Everybody who has left a record, dead or alive, oldest generation first.
+/// All recorded processes, dead or alive, oldest generation first.
 pub fn all(instance_folder: &Path) -> Vec<KeptProcess> {
     let entries = std::fs::read_dir(folder(instance_folder)).into_iter().flatten().flatten();
     let records =

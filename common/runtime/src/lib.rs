@@ -1,27 +1,27 @@
-//! What all processes of Flockeye share.
+//! Functions that all processes of Flockeye share.
 //!
 //! A stage is a type that implements [`Stage`]; its `main` is one line, [`stage::main`]. Everything
 //! that all stages share is here:
 //!
 //! | module | what it is for |
 //! | --- | --- |
-//! | [`instance`] | where one pipeline's shared memory and files live, and who owns it |
+//! | [`instance`] | folder, shared memory and owner of each pipeline |
 //! | [`kept`] | processes that fly on when their launcher dies |
-//! | [`recorders`] | how running recorders are found and asked |
-//! | [`memory`] | how large each topic's shared memory is, and whether it fits |
+//! | [`recorders`] | discovery and control of running recorders |
+//! | [`memory`] | size of each topic's shared memory, and the check against free memory |
 //! | [`newest`] | the newest frame of each target |
 //! | [`ports`] | publishers and subscribers of the contract's topics |
-//! | [`listening`] | whose messages count while a stage is swapped, and complaints |
-//! | [`onlooker`] | reading a running pipeline beside its stages |
+//! | [`listening`] | selection of messages while a stage is swapped, and complaints |
+//! | [`onlooker`] | access of tools to a running pipeline's messages |
 //! | [`stage`] | the loop: wait, step, send health, drain, stop |
-//! | [`credits`] | when a source may send its next frame |
-//! | [`resolved_file`] | what follows from the configuration, for stages in other languages |
-//! | [`whole_file`] | files that are there as a whole or not at all |
-//! | [`saved_state`] | what a process keeps for its successor |
+//! | [`credits`] | flow control: when a source may send its next frame |
+//! | [`resolved_file`] | values derived from the configuration, for stages in other languages |
+//! | [`whole_file`] | atomic files |
+//! | [`saved_state`] | saved states of workers for their successors |
 //! | [`health`] | counters and latency quantiles |
-//! | [`health_rates`] | what follows from reports of health over time |
-//! | [`findings`] | what is found when a machine is examined |
-//! | [`background`] | threads for work that nobody waits for |
+//! | [`health_rates`] | rates from successive health reports |
+//! | [`findings`] | findings of the examination of a machine |
+//! | [`background`] | threads for background work |
 //! | [`scheduling`] | the scheduling policy of a thread |
 //! | `umask` | the umask of a thread that binds sockets |
 //! | [`backoff`] | waits between attempts |

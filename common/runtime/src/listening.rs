@@ -1,30 +1,31 @@
-//! Whose messages a process listens to while the launcher swaps a stage, and what it complains of.
+//! Selection of the messages that count for a process while the launcher swaps a stage, and
+//! complaints to the launcher.
 
 use std::cell::{Cell, RefCell};
 
-use flockeye_contract::{Complaint, ComplaintKind, HandOver, Spoken, StageName, Text};
+use flockeye_contract::{Complaint, ComplaintKind, HandOver, MessageSender, StageName, Text};
 
 use crate::clock;
 
-/// Gives the launcher's newest announcement, if there is one since the last call.
+/// Returns the launcher's newest announcement, if there is one since the last call.
 type HandOverSource = Box<dyn FnMut() -> Option<HandOver>>;
 
 /// Sends a complaint to the launcher.
 type ComplaintSink = Box<dyn Fn(Complaint)>;
 
-/// Whose messages count for this process. All its ports share one.
+/// Filter of the messages that count for this process. All its ports share one.
 #[derive(Default)]
 pub struct Listening {
-    /// The stage that this process is, its worker and its generation; none for tools.
+    /// Stage, worker and generation of this process; none for tools.
     own: Option<(StageName, u32, u32)>,
     current: Cell<HandOver>,
-    /// `None` in the launcher: it decides, and sets `current` itself.
+    /// `None` in the launcher, which decides and sets `current` itself.
     hand_overs: RefCell<Option<HandOverSource>>,
     complaints: RefCell<Option<ComplaintSink>>,
 }
 
 impl Listening {
-    /// For a process that is worker `replica` of `stage`, in this generation.
+    /// Filter for worker `replica` of `stage` in this generation.
     pub(crate) fn of_stage(stage: StageName, replica: u32, generation: u32) -> Self {
         Self { own: Some((stage, replica, generation)), ..Self::default() }
     }
@@ -39,29 +40,28 @@ impl Listening {
         *self.complaints.borrow_mut() = Some(Box::new(sink));
     }
 
-    /// Sets whose messages count.
+    /// Sets the current hand-over.
     pub fn set(&self, hand_over: HandOver) {
         self.current.set(hand_over);
     }
 
-    /// Whether a message counts for this process.
-    pub(crate) fn admits(&self, header: &impl Spoken) -> bool {
-        let speakers = header.speakers();
-        if speakers[0].is_none() {
+    /// Whether a message of these senders counts for this process.
+    pub(crate) fn admits(&self, senders: [Option<MessageSender>; 2]) -> bool {
+        if senders[0].is_none() {
             return true;
         }
         self.update();
         let hand_over = self.current.get();
-        speakers.into_iter().flatten().all(|speaker| match self.own {
-            // Whoever works beside another needs the answers to its own views as well.
+        senders.into_iter().flatten().all(|sender| match self.own {
+            // A process in the shadow needs the answers to its own views as well.
             Some((StageName::Detection, ..)) => true,
             Some((stage, replica, generation))
-                if (stage, replica) == (speaker.stage, speaker.replica)
+                if (stage, replica) == (sender.stage, sender.replica)
                     && hand_over.is_about(stage, replica) =>
             {
-                speaker.generation == generation
+                sender.generation == generation
             }
-            _ => hand_over.admits(&speaker),
+            _ => hand_over.admits(&sender),
         })
     }
 
@@ -106,7 +106,9 @@ impl Listening {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use flockeye_contract::{DetectionHeader, HandOverState, PlanHeader, ViewHeader};
+    use flockeye_contract::{
+        DetectionHeader, Detections, HandOverState, PlanHeader, Plans, Topic, ViewHeader, Views,
+    };
 
     fn shadow(stage: StageName) -> HandOver {
         HandOver {
@@ -124,11 +126,17 @@ mod tests {
         for (generation, wanted) in [(0, [true, false]), (1, [false, true])] {
             let listening = Listening::of_stage(StageName::Rectification, 0, generation);
             listening.set(shadow(StageName::Rectification));
-            assert_eq!([0, 1].map(|asking| listening.admits(&answer(asking))), wanted);
+            assert_eq!(
+                [0, 1].map(|asking| listening.admits(Detections::senders(&answer(asking)))),
+                wanted
+            );
         }
         let fusion = Listening::of_stage(StageName::Fusion, 0, 0);
         fusion.set(shadow(StageName::Rectification));
-        assert_eq!([0, 1].map(|asking| fusion.admits(&answer(asking))), [true, false]);
+        assert_eq!(
+            [0, 1].map(|asking| fusion.admits(Detections::senders(&answer(asking)))),
+            [true, false]
+        );
     }
 
     #[test]
@@ -137,10 +145,10 @@ mod tests {
         let plans = [0, 1].map(|generation| PlanHeader { generation, ..Default::default() });
         let worker = Listening::of_stage(StageName::Detection, 0, 0);
         worker.set(shadow(StageName::Rectification));
-        assert_eq!(views.map(|view| worker.admits(&view)), [true, true]);
+        assert_eq!(views.map(|view| worker.admits(Views::senders(&view))), [true, true]);
         let tool = Listening::default();
-        assert_eq!(views.map(|view| tool.admits(&view)), [true, true]);
+        assert_eq!(views.map(|view| tool.admits(Views::senders(&view))), [true, true]);
         tool.set(shadow(StageName::Fusion));
-        assert_eq!(plans.map(|plan| tool.admits(&plan)), [true, false]);
+        assert_eq!(plans.map(|plan| tool.admits(Plans::senders(&plan))), [true, false]);
     }
 }

@@ -28,22 +28,22 @@ pub fn init() {
         .with_writer(std::io::stderr)
         .with_target(false)
         .with_ansi(std::io::stderr().is_terminal());
-    // The launcher puts its own time before each stage's lines.
+    // The launcher adds its own time before each stage's lines.
     let lines = if std::env::var_os(crate::instance::STAGE_VARIABLE).is_some() {
         lines.without_time().boxed()
     } else {
         lines.boxed()
     };
-    // What is overheard need not be printed.
+    // Warnings that are only counted need no printing.
     let outcome = tracing_subscriber::registry()
         .with(lines.with_filter(filter))
         .with(Overhearing.with_filter(LevelFilter::WARN))
         .try_init();
-    // Already set by an earlier call in this process (tests): that one stays.
+    // An earlier call in this process (tests) has set the subscriber, which stays.
     drop(outcome);
 }
 
-/// Warnings of a library that reports nowhere but in its log.
+/// Counter of a library's warnings that are reported only in its log.
 #[derive(Debug)]
 pub struct Overheard {
     target: &'static str,
@@ -53,8 +53,8 @@ pub struct Overheard {
 
 static OVERHEARD: Mutex<Vec<Arc<Overheard>>> = Mutex::new(Vec::new());
 
-/// Counts, from now on, the warnings whose module begins with `target` and that contain this text,
-/// where [`init`] has set up the logs.
+/// Counts, from now on, the warnings of modules that begin with `target` and that contain this
+/// text. It needs the logs of [`init`].
 pub fn overhear(target: &'static str, contains: &'static str) -> Arc<Overheard> {
     let overheard = Arc::new(Overheard { target, contains, heard: Mutex::default() });
     lock(&OVERHEARD).push(overheard.clone());
@@ -62,20 +62,20 @@ pub fn overhear(target: &'static str, contains: &'static str) -> Arc<Overheard> 
 }
 
 impl Overheard {
-    /// How many there were, and the last one.
+    /// Number of these warnings, and the last one.
     pub fn heard(&self) -> (u64, String) {
         lock(&self.heard).clone()
     }
 }
 
-/// The logs' side of [`overhear`].
+/// Layer of the log that feeds [`overhear`].
 struct Overhearing;
 
 impl<S: Subscriber> Layer<S> for Overhearing {
     fn on_event(&self, event: &Event<'_>, _: Context<'_, S>) {
         let target = event.metadata().target();
         let is_wanted = |overheard: &&Arc<Overheard>| target.starts_with(overheard.target);
-        // Copied, because what is recorded may run anybody's code.
+        // Copied before use, because formatting the event may run foreign code.
         let wanted: Vec<_> = lock(&OVERHEARD).iter().filter(is_wanted).cloned().collect();
         for overheard in wanted {
             let mut text = String::new();

@@ -1,4 +1,4 @@
-//! How large each topic's shared memory is, and whether it fits.
+//! Size of each topic's shared memory, and the check against free memory.
 //!
 //! For each publisher, iceoryx2 reserves chunks for the worst case: subscribers * (buffer +
 //! borrowed) + history + loaned. Its default limits would reserve 34 frames, so Flockeye sets its
@@ -20,7 +20,7 @@ use flockeye_contract::{
 pub struct Limits {
     /// The topic's name.
     pub topic: &'static str,
-    /// Whether the topic is split into lanes, which carry their number in their service's name.
+    /// Whether the topic is split into lanes, whose services have the lane's number in their names.
     pub has_lanes: bool,
     /// Services of this topic: one, or one for each detection worker.
     pub lanes: usize,
@@ -30,22 +30,22 @@ pub struct Limits {
     pub usual_publishers: usize,
     /// Subscribers at once, tools included.
     pub subscribers: usize,
-    /// Messages that wait at a subscriber, at most.
+    /// Maximum number of messages that wait at a subscriber.
     pub buffer: usize,
-    /// Messages that wait at a subscriber that is not to be late.
+    /// Maximum number of messages that wait at a subscriber that must not be late.
     pub usual_buffer: usize,
-    /// How long a publisher waits for a subscriber whose buffer is full. `None`: it does not wait,
+    /// Maximum wait of a publisher for a subscriber whose buffer is full. `None`: it does not wait,
     /// and the oldest message is dropped.
     pub patience: Option<Duration>,
-    /// Messages that a subscriber may keep.
+    /// Maximum number of messages that a subscriber may keep.
     pub borrowed: usize,
-    /// Messages that a late subscriber still gets.
+    /// Number of past messages that a late subscriber still receives.
     pub history: usize,
-    /// Messages that a publisher may be writing.
+    /// Maximum number of messages that a publisher may write at once.
     pub loaned: usize,
-    /// Most items in a message. Of a topic that grows: as many as usual messages have.
+    /// Maximum number of items in a message. For a topic that grows: the items of usual messages.
     pub items: usize,
-    /// Most items in a message of a topic whose memory grows where one is larger than `items`.
+    /// Maximum number of items, for a topic whose memory grows when a message exceeds `items`.
     pub grows_to: Option<usize>,
     /// Bytes of an item.
     pub item_bytes: usize,
@@ -71,23 +71,23 @@ impl Limits {
     }
 }
 
-/// Nodes (processes) of one instance at once: stages, their successors, tools.
+/// Maximum number of nodes (processes) in one instance: stages, their successors, tools.
 pub(crate) const MAX_NODES: usize = 40;
 
-/// Listeners and notifiers of one topic's event at once.
+/// Maximum number of listeners and notifiers of one topic's event.
 pub(crate) const MAX_EVENT_PORTS: usize = 40;
 
-/// Most markers in one detection record that Flockeye's own stages send.
+/// Maximum number of markers in one detection record of Flockeye's own stages.
 const MARKERS: usize = 64;
-/// A usual packet is smaller than its frame by this factor: that is half a bit for each pixel.
+/// Ratio of a frame's bytes to a usual packet's: half a bit for each pixel.
 const PACKET_SHARE: usize = 16;
-/// Most tracks in one message.
+/// Maximum number of tracks in one message.
 pub const MAX_TRACKS: usize = 16;
-/// Most sightings in one message of `peer`.
+/// Maximum number of sightings in one message of `peer`.
 pub(crate) const MAX_PEER_SIGHTINGS: usize = 16;
-/// Most poses in one message of `swarm`: as many as there are observers.
+/// Maximum number of poses in one message of `swarm`: the maximum number of observers.
 pub(crate) const MAX_SWARM_POSES: usize = 64;
-/// Most bodies in one frame's truth.
+/// Maximum number of bodies in one frame's truth.
 const TRUTH_BODIES: usize = 32;
 
 /// Limits of every topic, in the order of the dataflow.
@@ -100,9 +100,10 @@ pub struct Budget {
     frames: usize,
 }
 
-/// Views of all lanes that fusion keeps until their records are in.
+/// Number of views, over all lanes, that fusion keeps until their records arrive.
 pub fn held_views_waiting(pipeline: &Pipeline) -> usize {
-    // Rectification has this many in flight; one more may come before the answer to the one before.
+    // Rectification has this many in flight. One more may arrive before the answer to the previous
+    // one.
     pipeline.detection_workers() as usize * pipeline.rectification.window as usize + 1
 }
 
@@ -112,12 +113,12 @@ pub fn held_views_best(resolved: &Resolved) -> usize {
     resolved.bodies.len().clamp(1, MAX_TRACKS) + 2
 }
 
-/// The limits of a topic: what the table of topics does not have is how many messages there may be,
-/// and how large they are.
+/// Limits of a topic: numbers and sizes of its messages, which the table of topics does not
+/// contain.
 fn limits(topic: &TopicInfo, resolved: &Resolved, largest_view_px: u32) -> Limits {
     let pipeline = &resolved.pipeline;
     let lanes = if topic.has_lanes() { pipeline.detection_workers() as usize } else { 1 };
-    // Of each lane.
+    // For each lane.
     let publishers = usual_publishers(topic, pipeline);
     let usual = Limits {
         topic: topic.name,
@@ -130,7 +131,7 @@ fn limits(topic: &TopicInfo, resolved: &Resolved, largest_view_px: u32) -> Limit
         subscribers: 4,
         buffer: 64,
         usual_buffer: 64,
-        // A lossless run waits for fusion: what fusion sees must not depend on when it looks.
+        // A lossless run waits for fusion: its input must not depend on time.
         patience: match pipeline.flow() {
             Flow::Lossless if topic.has_lanes() => Some(pipeline.view_overdue()),
             Flow::Lossless | Flow::Latest => None,
@@ -148,19 +149,18 @@ fn limits(topic: &TopicInfo, resolved: &Resolved, largest_view_px: u32) -> Limit
     Limits { buffer, usual_buffer: sized.buffer, ..sized }
 }
 
-/// The limits of a topic with its own numbers of messages and items, where they are not usual.
+/// Limits of a topic whose numbers of messages and items differ from the usual ones.
 fn sized(topic: TopicId, usual: Limits, resolved: &Resolved, largest_view_px: u32) -> Limits {
     let pipeline = &resolved.pipeline;
     match topic {
-        // Rectification keeps the frame that waits for answers, the one it cuts, the next one, and
-        // for a moment one newer than that. Egomotion keeps one, the successor of one of them reads
-        // too, and a tool may look on.
+        // Rectification keeps up to four frames: one awaiting answers, one being cut, the next, and
+        // briefly a newer one. Egomotion keeps one. A successor and a tool may also read.
         TopicId::Frames => {
             let items = frame_bytes(pipeline);
             Limits { buffer: 1, borrowed: 4, loaned: 2, items, ..usual }
         }
-        // A camera's packets are far smaller than its frames, and how large is not known before
-        // they come. At 30 frames/s a recorder that sleeps for half a second misses none.
+        // A camera's packets are far smaller than its frames, and their size is unknown in advance.
+        // At 30 frames/s a recorder that sleeps for half a second misses none.
         TopicId::Packets => {
             let items = frame_bytes(pipeline) / PACKET_SHARE;
             Limits { subscribers: 2, buffer: 16, borrowed: 1, items, ..usual }
@@ -169,10 +169,10 @@ fn sized(topic: TopicId, usual: Limits, resolved: &Resolved, largest_view_px: u3
         TopicId::Rotations => Limits { subscribers: 6, buffer: 16, ..usual },
         // At 30 frames/s a recorder that sleeps for a quarter of a second misses none.
         TopicId::Plans => Limits { buffer: 8, history: 1, items: MAX_PLANNED_VIEWS, ..usual },
-        // To each lane listen its worker, fusion, the successor of one of them, and a tool.
+        // Subscribers of each lane: its worker, fusion, the successor of one of them, and a tool.
         TopicId::Views => Limits {
             buffer: usual_views(pipeline),
-            // In the worst case all views that fusion keeps are of one lane; and it reads one more.
+            // In the worst case all views that fusion keeps are of one lane, and it reads one more.
             borrowed: held_views_waiting(pipeline) + held_views_best(resolved) + 1,
             items: (largest_view_px as usize).pow(2),
             ..usual
@@ -185,17 +185,18 @@ fn sized(topic: TopicId, usual: Limits, resolved: &Resolved, largest_view_px: u3
         // Gateway, ROS 2, autopilot, the successor of one of them, the launcher, recorder, viewer,
         // and tools.
         TopicId::Tracks => Limits { subscribers: 10, items: MAX_TRACKS, ..usual },
-        // Fusion writes one whenever it has nothing left to do: at worst some hundred each second.
+        // Fusion publishes a message whenever it has no work left: at worst some hundred each
+        // second.
         TopicId::Journals => {
             Limits { subscribers: 3, buffer: 128, items: MAX_JOURNAL_ENTRIES, ..usual }
         }
-        // A report may bring more: it comes in several messages then.
+        // A report with more entries is split into several messages.
         TopicId::Odometries => usual,
         TopicId::Peers => Limits { subscribers: 6, buffer: 32, items: MAX_PEER_SIGHTINGS, ..usual },
         TopicId::Swarms => Limits { subscribers: 5, buffer: 4, items: MAX_SWARM_POSES, ..usual },
         TopicId::Healths => Limits { subscribers: 8, ..usual },
         TopicId::Truths => Limits { items: TRUTH_BODIES, ..usual },
-        // Every process reads it, and those that start later too.
+        // Every process reads this topic, including those that start later.
         TopicId::HandOvers => Limits { subscribers: MAX_NODES, buffer: 4, history: 1, ..usual },
         TopicId::Complaints => usual,
     }
@@ -204,18 +205,18 @@ fn sized(topic: TopicId, usual: Limits, resolved: &Resolved, largest_view_px: u3
 /// Frames that rectification has in flight: one that waits for answers, and one that is being cut.
 const FRAMES_IN_FLIGHT: usize = 2;
 
-/// Views of a lane that wait for its worker at most, and for other stages.
+/// Maximum number of a lane's views that wait for its worker and for other stages.
 fn usual_views(pipeline: &Pipeline) -> usize {
     pipeline.rectification.window as usize + 2
 }
 
-/// Views of a lane that wait beyond the usual for a recorder, so that it misses none, or few, while
-/// the stages have all processors. Their memory is reserved, and touched only then. A worker is
-/// sent some ten views of a frame. In a lossless run the recorder is waited for.
+/// Additional waiting views of a lane for a recorder, so that it misses few or none under full
+/// load. Their memory is reserved, and touched only then. A worker receives some ten views of a
+/// frame. In a lossless run publishers wait for the recorder.
 fn late_views(topic: TopicId, pipeline: &Pipeline) -> usize {
-    /// Where pixels are to be recorded: a single view that is missing ends a replay.
+    /// Buffer for recording pixels: a single missing view ends a replay.
     const OF_RECORDED_VIEWS: usize = 32;
-    /// Bytes of headers alone, in all.
+    /// Buffer for views without pixels, which cost only their headers.
     const OF_HEADERS: usize = 16;
     if topic != TopicId::Views || pipeline.flow() == Flow::Lossless {
         return 0;
@@ -227,8 +228,8 @@ fn late_views(topic: TopicId, pipeline: &Pipeline) -> usize {
     }
 }
 
-/// Detection records of one worker that may wait for a subscriber, so that none is lost while
-/// fusion sleeps over the answers to all frames in flight. Each worker has a buffer of its own.
+/// Maximum number of detection records of one worker that wait for a subscriber. None is lost while
+/// fusion waits for the answers to all frames in flight.
 ///
 /// At worst one worker answers all views of those frames, because the others are stalled. A stalled
 /// worker that wakes up also answers its window of views that others have answered meanwhile.
@@ -244,7 +245,7 @@ fn frame_bytes(pipeline: &Pipeline) -> usize {
     pipeline.camera.width as usize * pipeline.camera.height as usize
 }
 
-/// Processes that publish a topic in normal operation. Of the sources, one runs.
+/// Number of processes that publish a topic in normal operation. Only one of the sources runs.
 fn usual_publishers(topic: &TopicInfo, pipeline: &Pipeline) -> usize {
     let (sources, others): (Vec<_>, Vec<_>) =
         topic.publishers.iter().partition(|stage| stage.is_source());
@@ -279,7 +280,7 @@ impl Budget {
         found.expect("limits of each topic")
     }
 
-    /// Bytes that one more process of a stage takes.
+    /// Bytes that one more process of a stage needs.
     pub fn bytes_of(&self, stage: StageName) -> usize {
         let published =
             TOPICS.iter().zip(&self.topics).filter(|(topic, _)| topic.publishers.contains(&stage));
@@ -339,7 +340,7 @@ impl fmt::Display for Budget {
     }
 }
 
-// The sizes that `items` above count in.
+// Sizes of the largest messages, on which the numbers of items above rely.
 const _: () = assert!(size_of::<DetectedMarker>() * MARKERS < 16_384);
 const _: () = assert!(size_of::<Track>() * MAX_TRACKS < 20_480);
 const _: () = assert!(size_of::<JournalEntry>() * MAX_JOURNAL_ENTRIES < 4_096);

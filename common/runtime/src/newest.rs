@@ -1,4 +1,4 @@
-//! The newest frame of each target, so that tracks of earlier frames can be left out.
+//! Newest frame of each target, for filtering tracks of earlier frames.
 
 use std::collections::BTreeMap;
 
@@ -19,7 +19,7 @@ impl Newest {
         tracks.iter().filter(|track| self.admits(track.target, stamp))
     }
 
-    /// Whether this frame of a target is not late; then it is the newest.
+    /// Whether this frame of a target is not late. A frame that is not late becomes the newest.
     fn admits(&mut self, target: u32, stamp: &FrameStamp) -> bool {
         let is_late = self.0.get(&target).is_some_and(|last| stamp.is_late_beside(last));
         if !is_late {

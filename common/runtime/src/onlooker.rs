@@ -1,4 +1,4 @@
-//! Reading a running pipeline's messages beside its stages.
+//! Access of tools to a running pipeline's messages.
 
 use anyhow::anyhow;
 use iceoryx2::prelude::{LogLevel, set_log_level};
@@ -13,8 +13,8 @@ use flockeye_config::Resolved;
 /// messages, and its resolved configuration. It sets iceoryx2's log level for the whole process.
 ///
 /// # Errors
-/// Its files cannot be read, a file that its configuration names has changed or is missing, or
-/// there is no room, or no permission.
+/// A file of the pipeline cannot be read, has changed or is missing. Or there is no room, or no
+/// permission.
 pub fn join(instance: &Instance) -> anyhow::Result<(Ports, Resolved)> {
     set_log_level(LogLevel::Fatal);
     let name = instance.name();

@@ -1,15 +1,15 @@
 //! Publishers and subscribers of the contract's topics, over iceoryx2.
 //!
-//! Each topic is a publish-subscribe service and an event service of the same name, which wakes
-//! the subscribers. The launcher creates both with explicit limits ([`create_services`]); stages
-//! open them, and are refused if they speak another version of the contract.
+//! Each topic is a publish-subscribe service and an event service of the same name, which wakes the
+//! subscribers. The launcher creates both with explicit limits ([`create_services`]). Stages open
+//! them, and are refused if they have another version of the contract.
 //!
-//! | module | what it has |
+//! | module | content |
 //! | --- | --- |
 //! | `services` | the services |
 //! | `publisher` | publishers, and messages that are being written |
-//! | `subscriber` | subscribers, which check what comes |
-//! | `error` | why a port cannot be opened or used |
+//! | `subscriber` | subscribers, which check messages |
+//! | `error` | errors of opening and using ports |
 
 mod error;
 mod publisher;
@@ -31,11 +31,11 @@ use crate::memory::{Budget, Limits};
 use crate::umask::with_own_umask;
 
 pub use self::error::PortError;
-pub use self::publisher::{Loan, Publisher, UnsentMessage};
+pub use self::publisher::{Loan, Publisher};
 pub use self::services::{TopicServices, create_all_services, create_services};
 pub use self::subscriber::{Judged, Message, Sender, Subscriber};
 
-/// Opens ports of one process, and remembers what wakes it.
+/// Opens ports of one process, and holds the listeners that wake it.
 pub struct Ports {
     node: Rc<Node<Service>>,
     budget: Budget,
@@ -47,7 +47,7 @@ pub struct Ports {
 }
 
 impl Ports {
-    /// Ports of a process of the pipeline whose limits are `budget`; what they see is counted in
+    /// Ports of a process of the pipeline whose limits are `budget`; their messages are counted in
     /// `counters`.
     pub fn new(node: Rc<Node<Service>>, budget: Budget, counters: SharedCounters) -> Self {
         let listening = Rc::new(Listening::default());
@@ -60,19 +60,19 @@ impl Ports {
     }
 
     /// Ports whose messages do not wake this process: [`Ports::attend`] calls its body by the clock
-    /// alone. Senders then do nothing for it. It must look often enough that its buffers do not
-    /// overflow.
+    /// alone. Senders then have no extra work. The process must poll often enough that its buffers
+    /// do not overflow.
     pub fn polled(self) -> Self {
         Self { wakes: false, ..self }
     }
 
-    /// Whose messages count here.
+    /// The filter of the messages that count here.
     pub fn listening(&self) -> Rc<Listening> {
         self.listening.clone()
     }
 
-    /// More ports of the same process, which can be closed apart. Their messages do not wake
-    /// [`Ports::attend`].
+    /// Further ports of the same process, which can be closed separately. Their messages do not
+    /// wake [`Ports::attend`].
     pub fn beside(&self) -> Self {
         Self {
             node: self.node.clone(),
@@ -84,12 +84,12 @@ impl Ports {
         }
     }
 
-    /// Follows the launcher's announcements of whose messages count while it swaps a stage.
+    /// Follows the launcher's announcements while it swaps a stage.
     ///
     /// # Errors
     /// As [`Ports::subscriber`].
     pub fn follow_hand_overs(&mut self) -> Result<(), PortError> {
-        // Hand-overs are not counted, and no hand-over decides whether they are received.
+        // Hand-overs are not counted, and no hand-over filters them.
         let hand_overs: Subscriber<HandOvers> = self.subscriber()?;
         let mut hand_overs =
             hand_overs.counted_in(SharedCounters::default()).listening_to(Rc::default());
@@ -145,8 +145,7 @@ impl Ports {
         (0..lanes).map(|lane| self.subscriber_of_lane(lane)).collect()
     }
 
-    /// Subscribers of all lanes with all the room that the topic has, for a reader that may be
-    /// late.
+    /// Subscribers of all lanes with the topic's largest buffer, for a reader that may be late.
     ///
     /// # Errors
     /// As [`Ports::subscriber`].
@@ -206,7 +205,7 @@ impl Ports {
                 && let Err(error) = waiting
                     .wait_and_process_once_with_timeout(|_| CallbackProgression::Continue, timeout)
             {
-                // A signal interrupts the wait; `body` knows whether it asks the process to stop.
+                // A signal interrupts the wait; `body` checks whether it requests a stop.
                 tracing::debug!("waiting was interrupted: {error:?}");
             }
             // A listener that is not drained would wake this process again and again.

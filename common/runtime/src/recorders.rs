@@ -1,5 +1,5 @@
-//! How a running recorder is found and asked: a file with its process's number in the instance's
-//! folder, which is locked as long as the recorder runs. It names the recording.
+//! Discovery and control of running recorders. Each has a file named by its process's number in the
+//! instance's folder, locked as long as it runs. The file contains the recording's path.
 
 use std::ffi::OsString;
 use std::fs::File;
@@ -20,8 +20,8 @@ pub struct Presence {
 }
 
 impl Presence {
-    /// Says that this process records to `out`: from now on it misses nothing. `keeps_past`: it
-    /// writes what came before when it is asked to.
+    /// Announces that this process records to `out` and misses nothing from now on. `keeps_past`:
+    /// it writes the past on request.
     ///
     /// # Errors
     /// The file cannot be written.
@@ -32,7 +32,7 @@ impl Presence {
         let mut lock = File::create(&fresh)?;
         lock.write_all(std::path::absolute(out)?.as_os_str().as_bytes())?;
         flock(&lock, FlockOperation::NonBlockingLockExclusive)?;
-        // Nobody looks at it before it is locked.
+        // The file appears only after it is locked.
         std::fs::rename(&fresh, &path)?;
         Ok(Self { path, _lock: lock })
     }
@@ -64,8 +64,7 @@ pub fn running(instance: &Instance) -> Vec<Pid> {
     living(instance).filter_map(|path| process(&path)).collect()
 }
 
-/// The recording that a running recorder of an instance writes all the time; of several, the one
-/// that was begun first.
+/// Recording of a running recorder that writes continuously; of several, the first one.
 pub fn recording(instance: &Instance) -> Option<PathBuf> {
     let whole = living(instance).filter(|path| path.extension() == Some("all".as_ref()));
     let begun = whole
@@ -74,7 +73,7 @@ pub fn recording(instance: &Instance) -> Option<PathBuf> {
     Some(PathBuf::from(OsString::from_vec(std::fs::read(first).ok()?)))
 }
 
-/// Asks the recorders of an instance that keep the past to write it. Returns how many there are.
+/// Requests the recorders of an instance that keep the past to write it. Returns their number.
 pub fn ask_to_write(instance: &Instance) -> usize {
     let keeping = living(instance).filter(|path| path.extension() == Some("past".as_ref()));
     let processes = keeping.filter_map(|path| process(&path));

@@ -1,5 +1,5 @@
-//! What follows from a configuration, as JSON: the section `resolved` of the instance's
-//! `pipeline.json`, so that a stage in another language need not work it out.
+//! Values derived from a configuration, as JSON: the section `resolved` of the instance's
+//! `pipeline.json`. A stage in another language need not compute them.
 
 use flockeye_config::Resolved;
 use flockeye_geometry::view::View;
@@ -25,8 +25,8 @@ pub fn section(resolved: &Resolved) -> Value {
     })
 }
 
-/// The bodies as a bodies file has them, with every corner and facet, and each one's `target`
-/// number.
+/// Bodies in the form of a bodies file, with every corner and facet, and the `target` number of
+/// each.
 pub fn bodies(resolved: &Resolved) -> Value {
     let mut bodies = resolved.bodies.to_json();
     for (target, body) in resolved.bodies.iter().enumerate() {

@@ -1,5 +1,4 @@
-//! What a process keeps for its successor: the newest state of a worker, in a file of the
-//! instance's folder.
+//! Saved states of workers: a file in the instance's folder with the newest state for a successor.
 //!
 //! A process that is killed cannot hand anything over, so it saves its state while it works. Each
 //! process has a file of its own, because two of a worker may run side by side. The file has two
@@ -16,13 +15,14 @@ use std::time::Duration;
 use crate::health::Identity;
 use crate::instance::Instance;
 
-/// Files of one worker. Two of its processes run at once at most, so the others are of dead ones.
+/// Maximum number of files of one worker. At most two of its processes run at once; the other files
+/// are of dead ones.
 const MOST_FILES: usize = 8;
 
 /// Bytes of a place; the file is sparse.
 const PLACE_BYTES: u64 = 1 << 22;
 
-/// Bytes before a state: when it was saved, and its length. The time is repeated after it.
+/// Bytes before a state: the time of saving, and its length. The time is repeated after it.
 const HEAD_BYTES: usize = 16;
 const TAIL_BYTES: usize = 8;
 
@@ -36,26 +36,26 @@ pub struct SavedStates {
 /// The newest state that another process of a worker saved.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct SavedState {
-    /// What it saved.
+    /// The state.
     pub state: Vec<u8>,
-    /// How long ago, by CLOCK_MONOTONIC.
+    /// Age by CLOCK_MONOTONIC.
     pub age: Duration,
-    /// How often the worker had been started.
+    /// Generation of the process that saved it.
     pub generation: u32,
 }
 
 impl SavedStates {
-    /// The states of the worker that this process is of.
+    /// The states of this process's worker.
     pub fn of(instance: &Instance, identity: &Identity) -> Self {
         Self { folder: instance.folder().join("state"), identity: identity.clone() }
     }
 
-    /// The folder of all states, for what else a process leaves to the next one.
+    /// Folder of all states, also for other files that a process leaves to its successor.
     pub fn folder(&self) -> &Path {
         &self.folder
     }
 
-    /// The newest state of the worker's other processes, and how old it is at `now_ns`.
+    /// The newest state of the worker's other processes, with its age at `now_ns`.
     ///
     /// # Errors
     /// The folder or a file in it cannot be read.
@@ -86,13 +86,13 @@ impl SavedStates {
         Ok(paths?.into_iter().filter_map(|path| Some((self.generation_of(&path)?, path))).collect())
     }
 
-    /// Where this process saves its own. The oldest files are removed where there are too many.
+    /// The keeper of this process's states. The oldest files are removed where there are too many.
     ///
     /// # Errors
     /// The file cannot be made.
     pub fn keeper(&self) -> io::Result<StateKeeper> {
         std::fs::create_dir_all(&self.folder)?;
-        // A process that runs has saved lately, whatever its generation is.
+        // A running process has saved recently, whatever its generation.
         let mut files: Vec<_> = self
             .files()?
             .into_values()
@@ -101,7 +101,7 @@ impl SavedStates {
         files.sort();
         let most = files.len().saturating_sub(MOST_FILES - 1);
         for (_, oldest) in files.drain(..most) {
-            // A file that another process has removed is gone all the same.
+            // Another process may have removed the file already.
             drop(std::fs::remove_file(oldest));
         }
         let name = format!("{}{}", self.name(), self.identity.generation);
@@ -122,13 +122,13 @@ impl SavedStates {
 #[derive(Debug)]
 pub struct StateKeeper {
     file: File,
-    /// Which place is written next.
+    /// The place of the next write.
     place: u64,
     bytes: Vec<u8>,
 }
 
 impl StateKeeper {
-    /// Saves a state, of the time `now_ns` of CLOCK_MONOTONIC.
+    /// Saves a state with the time `now_ns` of CLOCK_MONOTONIC.
     ///
     /// # Errors
     /// A state of more than 4 MiB, or a file that cannot be written.
@@ -150,7 +150,7 @@ impl StateKeeper {
     }
 }
 
-/// The newer whole state in a file, and when it was saved, nanoseconds.
+/// The newer complete state in a file, and the time of saving, nanoseconds.
 fn saved_in(path: &Path) -> io::Result<Option<(i64, Vec<u8>)>> {
     let file = match File::open(path) {
         // Another process of the worker may have removed it.
@@ -161,7 +161,7 @@ fn saved_in(path: &Path) -> io::Result<Option<(i64, Vec<u8>)>> {
     Ok(places.into_iter().flatten().max_by_key(|(saved_ns, _)| *saved_ns))
 }
 
-/// The state at a place, if it was written to its end.
+/// The state at a place, if it was written completely.
 fn whole_state(file: &File, at: u64) -> Option<(i64, Vec<u8>)> {
     let mut head = [0; HEAD_BYTES];
     file.read_exact_at(&mut head, at).ok()?;

@@ -39,7 +39,7 @@ pub(crate) fn of_this_thread() -> Option<Scheduling> {
     ALL.into_iter().find(|policy| code(*policy) == found)
 }
 
-/// Gives the calling thread a policy. `priority` counts in real time only.
+/// Sets the policy of the calling thread. `priority` counts in real time only.
 ///
 /// # Errors
 /// The system refuses: real time needs CAP_SYS_NICE or a limit (RLIMIT_RTPRIO).

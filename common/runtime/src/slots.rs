@@ -1,7 +1,7 @@
 //! Messages that wait for a slow receiver, such as the network.
 //!
-//! There is one slot for each key: a newer message replaces one that still waits. So the number of
-//! messages is that of the keys, and after a stall the receiver gets current messages, not old
+//! There is one slot for each key: a newer message replaces one that still waits. So no more
+//! messages wait than there are keys. After a stall the receiver gets current messages, not old
 //! ones.
 
 use std::collections::VecDeque;
@@ -10,7 +10,7 @@ use std::time::Duration;
 
 use crate::lock::lock;
 
-/// Messages between a caller, who never waits, and the thread that hands them on.
+/// Messages between a caller that never waits and the thread that forwards them.
 #[derive(Debug)]
 pub struct Slots<K, V> {
     state: Mutex<State<K, V>>,
@@ -25,11 +25,6 @@ struct State<K, V> {
     is_closed: bool,
 }
 
-/// The slots accept nothing more.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
-#[error("closed")]
-pub struct Closed;
-
 impl<K, V> Default for Slots<K, V> {
     fn default() -> Self {
         let state = State { waiting: VecDeque::new(), overwritten: 0, is_closed: false };
@@ -41,11 +36,11 @@ impl<K: PartialEq, V> Slots<K, V> {
     /// Puts a message in and returns at once.
     ///
     /// # Errors
-    /// [`Closed`].
-    pub fn put(&self, key: K, value: V) -> Result<(), Closed> {
+    /// The slots are closed: the message comes back.
+    pub fn put(&self, key: K, value: V) -> Result<(), V> {
         let mut state = lock(&self.state);
         if state.is_closed {
-            return Err(Closed);
+            return Err(value);
         }
         match state.waiting.iter_mut().find(|(waiting, _)| *waiting == key) {
             Some((_, waiting)) => {
@@ -59,7 +54,7 @@ impl<K: PartialEq, V> Slots<K, V> {
         Ok(())
     }
 
-    /// Waits for the next message; none once closed and empty.
+    /// Waits for the next message; none once the slots are closed and empty.
     pub fn take(&self) -> Option<(K, V)> {
         let mut state = lock(&self.state);
         loop {
@@ -85,7 +80,7 @@ impl<K: PartialEq, V> Slots<K, V> {
         lock(&self.state).overwritten
     }
 
-    /// Accepts nothing more; waiting messages can still be taken.
+    /// Closes the slots; waiting messages can still be taken.
     pub fn close(&self) {
         lock(&self.state).is_closed = true;
         self.changed.notify_all();
@@ -112,7 +107,7 @@ mod tests {
         slots.close();
         let taken: Vec<_> = std::iter::from_fn(|| slots.take()).collect();
         assert_eq!(taken, [("/tf", 3), ("/pose", 3)]);
-        assert_eq!(slots.put("/tf", 4), Err(Closed));
+        assert_eq!(slots.put("/tf", 4), Err(4));
     }
 
     #[test]

@@ -28,19 +28,18 @@ pub trait Stage: Sized {
     /// Opens its ports and devices.
     ///
     /// # Errors
-    /// Whatever keeps it from working; the process ends with the message.
+    /// Any failure that keeps it from working; the process ends with the message.
     fn open(context: &Context, ports: &mut Ports) -> anyhow::Result<Self>;
 
-    /// Handles waiting inputs, and returns when it wants to be called again. It is called whenever
-    /// an input has a message. It must not block for long, because health is sent between two
-    /// calls.
+    /// Handles waiting inputs, and returns the time of the next call. It is also called whenever an
+    /// input has a message. It must not block for long, because health is sent between two calls.
     ///
     /// # Errors
-    /// Only what keeps it from working at all. Bad input is refused inside the stage.
+    /// Only failures that keep it from working at all. Bad input is refused inside the stage.
     fn step(&mut self) -> anyhow::Result<Step>;
 
-    /// Examines this machine for what the stage needs, before a flight. Nothing is opened for long,
-    /// and nothing is changed.
+    /// Examines this machine for the requirements of the stage, before a flight. Nothing is opened
+    /// for long, and nothing is changed.
     fn examine(_pipeline: &Pipeline) -> Vec<Finding> {
         Vec::new()
     }
@@ -48,13 +47,13 @@ pub trait Stage: Sized {
     /// Finishes the messages in work. Called once, before the process ends.
     ///
     /// # Errors
-    /// What keeps it from doing so.
+    /// The reason why they cannot be finished.
     fn drain(&mut self) -> anyhow::Result<()> {
         Ok(())
     }
 }
 
-/// When a stage wants to be called again.
+/// Time of a stage's next call.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Step {
     /// When an input has something.
@@ -63,20 +62,20 @@ pub enum Step {
     WaitUntil(i64),
     /// At once.
     Again,
-    /// Its input has ended. The process stays until it gets the signal to stop, so that its last
-    /// messages can be read.
+    /// Its input has ended. The process stays until the signal to stop, so that its last messages
+    /// can be read.
     Finished,
 }
 
-/// What a stage knows of the pipeline it is in.
+/// Configuration and identity of a stage's process.
 pub struct Context {
-    /// The configuration, and what is made of it.
+    /// The configuration, and the values computed from it.
     pub resolved: Resolved,
-    /// Which process this is.
+    /// Identity of this process.
     pub identity: Identity,
-    /// Where the stage counts what it does.
+    /// Counters of the stage.
     pub counters: SharedCounters,
-    /// What processes of this worker leave to their successors.
+    /// Saved states of this worker for its successors.
     pub saved_states: SavedStates,
 }
 
@@ -122,26 +121,26 @@ fn run(mut runtime: StageRuntime, mut stage: impl Stage) -> anyhow::Result<()> {
     stage.drain()
 }
 
-/// A process that has joined the pipeline as a stage: what all stages owe, whatever they do.
+/// Runtime of a process that has joined the pipeline as a stage: the duties of every stage.
 pub struct StageRuntime {
-    /// What it knows of the pipeline.
+    /// Configuration and identity.
     pub context: Context,
     /// Its ports.
     pub ports: Ports,
     health: Publisher<Healths>,
-    /// When health is sent again, CLOCK_MONOTONIC, nanoseconds.
+    /// Time of the next health report, CLOCK_MONOTONIC, nanoseconds.
     next_health_ns: i64,
     stopping: Arc<AtomicBool>,
 }
 
 impl StageRuntime {
-    /// Joins the pipeline that the launcher's environment names, and reports that. From now on
+    /// Joins the pipeline that the launcher's environment names, and reports the start. From now on
     /// SIGTERM and SIGINT end [`StageRuntime::serve`].
     ///
     /// # Errors
-    /// There is no such stage or pipeline, or it speaks another version of the contract.
+    /// There is no such stage or pipeline, or it has another version of the contract.
     pub fn join(name: &str) -> anyhow::Result<Self> {
-        // iceoryx2's results carry what matters here; its own log would repeat it.
+        // iceoryx2's results contain the relevant errors; its own log would repeat them.
         set_log_level(LogLevel::Fatal);
         let stopping = Arc::new(AtomicBool::new(false));
         for signal in [signal_hook::consts::SIGTERM, signal_hook::consts::SIGINT] {
@@ -180,7 +179,7 @@ impl StageRuntime {
         Ok(Self { context, ports, health, next_health_ns, stopping })
     }
 
-    /// Sends health, with how far the stage is.
+    /// Sends health with this state.
     ///
     /// # Errors
     /// The message cannot be sent.
@@ -193,7 +192,7 @@ impl StageRuntime {
     /// Calls `step` as [`Stage::step`] is called, and sends health in between, until SIGTERM.
     ///
     /// # Errors
-    /// The errors of `step`; waiting is impossible.
+    /// Errors of `step`, or of waiting.
     pub fn serve(&mut self, mut step: impl FnMut() -> anyhow::Result<Step>) -> anyhow::Result<()> {
         let Self { context, ports, health, next_health_ns, stopping } = self;
         let send = |state| send_health(health, &context.counters, &context.identity, state);
@@ -228,7 +227,7 @@ fn number_from(variable: &str) -> anyhow::Result<u32> {
     }
 }
 
-/// Sends health, and returns when it is sent again, CLOCK_MONOTONIC, nanoseconds.
+/// Sends health. Returns the time of the next report, CLOCK_MONOTONIC, nanoseconds.
 fn send_health(
     publisher: &Publisher<Healths>,
     counters: &Counters,

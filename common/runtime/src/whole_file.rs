@@ -1,12 +1,11 @@
-//! Files that are there as a whole or not at all, whoever reads them and whenever the writer is
-//! killed.
+//! Atomic files: a reader finds the whole file or none, even if the writer is killed.
 
 use std::ffi::OsString;
 use std::fs;
 use std::io;
 use std::path::Path;
 
-/// Writes a file beside its place and moves it there. Until then the file of before stays.
+/// Writes a file beside its place and moves it there. Until then the former file stays.
 ///
 /// # Errors
 /// The system's reason; nothing of the new file is left then.
@@ -14,7 +13,7 @@ pub fn write_whole(path: &Path, bytes: &[u8]) -> io::Result<()> {
     let mut fresh = OsString::from(path);
     fresh.push(".new");
     fs::write(&fresh, bytes).and_then(|()| fs::rename(&fresh, path)).inspect_err(|_| {
-        // On a full disk, half of it would only be in the way.
+        // On a full disk, a partial file would only take space.
         fs::remove_file(&fresh).ok();
     })
 }

@@ -6,15 +6,15 @@ use serde::Serialize;
 use crate::table::{TableCells, TableError, TableRow};
 use crate::writer::WrittenRow;
 
-/// When a frame was published and when it ended, that is when its last tracks came. Both are times
-/// of CLOCK_MONOTONIC in nanoseconds.
+/// Times of a frame's publication and of its end, the arrival of its last tracks. Both are
+/// CLOCK_MONOTONIC, nanoseconds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub struct FrameTimes {
     /// The source's frame, from 0.
     pub frame: u64,
-    /// When its source published it.
+    /// Time of publication by the source.
     pub published_ns: u64,
-    /// When its last tracks came.
+    /// Time of arrival of the last tracks.
     pub ended_ns: u64,
 }
 
@@ -26,7 +26,7 @@ impl FrameTimes {
         Self { frame: stamp.sequence, published_ns, ended_ns: ended_ns.max(0).unsigned_abs() }
     }
 
-    /// From publication to end, seconds.
+    /// Time from publication to end, seconds.
     pub fn work_s(&self) -> f64 {
         self.ended_ns.saturating_sub(self.published_ns) as f64 * 1e-9
     }

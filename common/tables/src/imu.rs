@@ -11,7 +11,7 @@ use crate::writer::WrittenRow;
 /// A sample of an inertial sensor.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ImuRow {
-    /// When it was taken, stream time, seconds.
+    /// Time of the sample, stream time, seconds.
     pub t_s: f64,
     /// Angular velocity along the sensor's axes, rad/s, its bias included.
     pub rate: Vector3<f64>,
@@ -32,7 +32,7 @@ impl ImuRow {
     }
 }
 
-/// The rates of a whole file, in the order of their time.
+/// The rates of a whole file in the order of their times.
 pub fn rate_record(mut rows: Vec<ImuRow>) -> RateRecord {
     rows.sort_by(|one, other| one.t_s.total_cmp(&other.t_s));
     let mut record = RateRecord::new(f64::INFINITY);

@@ -1,7 +1,8 @@
-//! CSV tables by which runs are judged, and how often the sphere is searched. `flockeye up` writes
-//! the tables; `flockeye-lab` reads them, and capture reads those of inertial sensors.
+//! CSV tables with the results of runs, and counts of how often the sphere is searched. `flockeye
+//! up` writes the tables and `flockeye-lab` reads them. Capture reads the tables of inertial
+//! sensors.
 //!
-//! | module | what it holds |
+//! | module | content |
 //! | --- | --- |
 //! | [`writer`] | a CSV file that is being written |
 //! | [`table`] | CSV files read by the names of their columns |
@@ -9,7 +10,7 @@
 //! | [`truth`] | the true poses, of a simulated flight or of a recording |
 //! | [`frame_times`] | when each frame was published and when it ended |
 //! | [`rotation`] | how the camera has turned to each frame |
-//! | [`imu`] | what an inertial sensor measures |
+//! | [`imu`] | samples of an inertial sensor |
 //! | [`rays`] | the corner rays of detected markers |
 //! | [`sweep`] | how often each part of the sphere is searched |
 

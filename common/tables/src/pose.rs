@@ -15,7 +15,7 @@ pub struct PoseRow {
     pub frame: u64,
     /// Mid-exposure, stream time, seconds.
     pub stamp_s: f64,
-    /// The neighbour.
+    /// The neighbour's name.
     pub target: String,
     /// Position, metres.
     pub position: Vector3<f64>,
@@ -25,16 +25,18 @@ pub struct PoseRow {
     pub state: TrackState,
     /// Markers decoded in this frame.
     pub markers: u32,
-    /// What this frame's measurement rests on.
+    /// The method of this frame's measurement.
     pub measured_by: MeasuredBy,
-    /// This frame's own measurement of the same pose; `None` too where it was not recorded.
+    /// This frame's own measurement of the same pose; `None` if there is none or it was not
+    /// recorded.
     pub measured: Option<MeasuredPose>,
     /// Covariance of the pose: position (m), then rotation vector (rad), both in the observer's
     /// frame; `None` where it was not recorded.
     pub covariance: Option<Matrix6<f64>>,
     /// The pose predicted for the time of sending; `None` where it was not recorded.
     pub predicted: Option<PredictedPose>,
-    /// Exposure (in a lossless run: frame published) to pose published.
+    /// Latency from the exposure (in a lossless run: from the frame's publication) to the pose's
+    /// publication, ms.
     pub latency_ms: f64,
 }
 
@@ -45,20 +47,20 @@ pub struct MeasuredPose {
     pub position: Vector3<f64>,
     /// Orientation.
     pub orientation: UnitQuaternion<f64>,
-    /// As the track's.
+    /// Covariance, in the same form as that of the track.
     pub covariance: Option<Matrix6<f64>>,
 }
 
-/// A pose predicted for another time, in the observer's frame of then.
+/// A pose predicted for another time, in the observer's frame at that time.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PredictedPose {
-    /// Time of the prediction, stream time, seconds. In a lossless run it is the exposure's.
+    /// Time of the prediction, stream time, seconds. In a lossless run it is the exposure time.
     pub at_s: f64,
     /// Position, metres.
     pub position: Vector3<f64>,
     /// Orientation.
     pub orientation: UnitQuaternion<f64>,
-    /// As the track's.
+    /// Covariance, in the same form as that of the track.
     pub covariance: Matrix6<f64>,
 }
 
@@ -93,7 +95,7 @@ const PREDICTED_COVARIANCE: [&str; 21] = [
 ];
 
 impl PoseRow {
-    /// The row of a track; `None` for one whose state is unknown here.
+    /// The row of a track; `None` if its state is an unknown code.
     pub fn of(stamp: &FrameStamp, track: &Track) -> Option<Self> {
         let measured_by = MeasuredBy::try_from(track.measured_by).ok()?;
         let measured = &track.measured_observer_from_target;
@@ -183,7 +185,7 @@ impl TableRow for PoseRow {
             "tentative, confirmed, coasting, lost or measured",
         )?;
         let measured_by = match cells.text("measured_by") {
-            // A file without this column: the state shows whether something was measured.
+            // A file without this column: the state shows whether the pose was measured.
             "" if matches!(state, TrackState::Coasting | TrackState::Lost) => MeasuredBy::Nothing,
             "" => MeasuredBy::Decoded,
             _ => cells.code(MeasuredBy::ALL, "measured_by", "nothing, decoded or aligned")?,

@@ -9,7 +9,7 @@ use crate::writer::WrittenRow;
 /// The rays of a marker's four corners, as detection found them in a view of a frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct MarkerRays {
-    /// Rises each time the source begins anew.
+    /// Number of the source's stream; it rises each time the source restarts its stream.
     pub epoch: u32,
     /// The source's frame, from 0.
     pub frame: u64,
@@ -17,11 +17,11 @@ pub struct MarkerRays {
     pub marker: u32,
     /// Unit rays of the corners in the camera frame, in ArUco's order.
     pub rays_in_camera: [[f64; 3]; 4],
-    /// Standard deviation of each ray across itself, radians.
+    /// Standard deviation of each ray across its direction, radians.
     pub deviations_rad: [f64; 4],
 }
 
-/// The columns of each corner: its ray, and the standard deviation of it.
+/// The columns of each corner: the ray and its standard deviation.
 const CORNERS: [[&str; 4]; 4] = [
     ["x0", "y0", "z0", "deviation0_rad"],
     ["x1", "y1", "z1", "deviation1_rad"],

@@ -16,24 +16,24 @@ pub struct RotationRow {
     /// Mid-exposure, stream time, seconds.
     pub stamp_s: f64,
     /// Mid-exposure on the frames' clock, seconds since the stream of the run's first frame began.
-    /// It differs from `stamp_s` where frames do not come as evenly as they were taken.
+    /// It differs from `stamp_s` if frames arrive less evenly than they were exposed.
     pub exposure_s: f64,
-    /// What it was measured by; `None`: it is not known.
+    /// The rotation; `None` if it is not known.
     pub turn: Option<RecordedTurn>,
 }
 
 /// A rotation that is known.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RecordedTurn {
-    /// What it was measured by.
+    /// The sensor that measured the rotation.
     pub source: RotationSource,
-    /// The earlier exposure, stream time, seconds.
+    /// Exposure of the earlier frame, stream time, seconds.
     pub earlier_s: f64,
     /// Exposure of the earlier frame on the clock of `exposure_s`.
     pub earlier_exposure_s: f64,
-    /// Turns directions in the camera frame of then into that of now.
+    /// Turns directions from the camera frame at the earlier exposure into that at this exposure.
     pub later_from_earlier: UnitQuaternion<f64>,
-    /// Covariance of its rotation vector in the camera frame of now, rad^2.
+    /// Covariance of the rotation vector in the camera frame at this exposure, rad^2.
     pub covariance: Matrix3<f64>,
     /// The camera's own angular velocity at the exposure, in its own axes, rad/s.
     pub rate_in_camera: Vector3<f64>,
@@ -49,9 +49,9 @@ const RATE: [&str; 3] = ["rx", "ry", "rz"];
 const RATE_COVARIANCE: [&str; 6] = ["r00", "r01", "r02", "r11", "r12", "r22"];
 
 impl RotationRow {
-    /// The row of a rotation. `before` is the stamp of the rotation before it: if it was measured
-    /// from that frame, the earlier exposure's stream time is that frame's. `zero_ns` is the
-    /// frames' clock when the stream of the run's first frame began.
+    /// The row of a rotation. `before` is the stamp of the rotation before it. If the rotation was
+    /// measured from that frame, the earlier stream time is taken from it. `zero_ns` is the frames'
+    /// clock when the stream of the run's first frame began.
     pub fn of(rotation: &Rotation, before: Option<&FrameStamp>, zero_ns: i64) -> Self {
         let stamp = &rotation.stamp;
         let since_zero_s = |at_ns: i64| at_ns.saturating_sub(zero_ns) as f64 * 1e-9;

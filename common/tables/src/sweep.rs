@@ -1,8 +1,7 @@
-//! How often each tile of the sphere is searched, by the plans and records of the stages.
+//! Counts how often each tile of the sphere is searched, from the plans and detection records.
 //!
-//! An untracked target is found when the tile that shows it is searched next. So the longest time
-//! between two searches of one tile is how many frames a target inside the detection range may stay
-//! unseen.
+//! An untracked target is found at the next search of the tile that shows it. So the largest gap
+//! between two searches of one tile limits how long a target in range stays unseen.
 
 use std::collections::VecDeque;
 use std::fmt;
@@ -18,22 +17,23 @@ const PLANS_KEPT: usize = 64;
 /// Frames between two searches of one part of the sphere.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct SearchGaps {
-    /// How many parts there are.
+    /// Number of parts.
     pub views: usize,
-    /// Their mean. A part counts once it was searched twice.
+    /// The mean gap. A part is included after its second search.
     pub mean_frames: Option<f64>,
-    /// The longest. It includes gaps that still last, and those before a part's first search.
+    /// The largest gap. It includes gaps that have not ended, and gaps before a part's first
+    /// search.
     pub worst_frames: u64,
 }
 
-/// How often the sphere is searched.
+/// The gaps between searches of the sphere.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct SweepReport {
     /// Frames from the first search to the newest.
     pub frames: u64,
-    /// The tiles of the partition.
+    /// Gaps of the partition's tiles.
     pub partitions: SearchGaps,
-    /// The high-resolution tiles, where there are any.
+    /// Gaps of the high-resolution tiles; `None` without such tiles.
     pub high_resolution: Option<SearchGaps>,
 }
 
@@ -51,15 +51,15 @@ impl fmt::Display for SweepReport {
     }
 }
 
-/// When each part of the sphere was searched.
+/// The searches of each part of the sphere.
 #[derive(Debug)]
 pub struct Sweep {
-    /// `None` where the camera sees nothing of a tile: nobody searches it.
+    /// `None` for a tile that the camera's mask hides: it is never searched.
     partitions: Vec<Option<SweptPart>>,
     high_resolution: Vec<Option<SweptPart>>,
     /// Kind and tile of each view, by plan.
     plans: VecDeque<(u64, Vec<(u32, u32)>)>,
-    /// The source and its epoch; numbers of frames mean nothing across them.
+    /// The source and its epoch. Frame numbers cannot be compared between different ones.
     epoch: Option<(u32, u32)>,
     first: Option<u64>,
     newest: u64,
@@ -74,8 +74,8 @@ struct SweptPart {
 }
 
 impl Sweep {
-    /// A count over these partitions and high-resolution tiles: whether the camera sees anything of
-    /// them.
+    /// Begins the counts. The flags of partitions and high-resolution tiles state whether the
+    /// camera sees any part of a tile.
     pub fn new(partitions: &[bool], high_resolution: &[bool]) -> Self {
         let parts = |seen: &[bool]| seen.iter().map(|seen| seen.then(SweptPart::default)).collect();
         Self {
@@ -88,8 +88,8 @@ impl Sweep {
         }
     }
 
-    /// Starts with the partitions of a pipeline. `None` unless the search mode is roi: other modes
-    /// search from the beginning in each frame.
+    /// Begins the counts for the tiles of a pipeline. `None` unless the search mode is roi: other
+    /// modes begin at the first tile in each frame.
     ///
     /// # Errors
     /// The configuration names files or a partition that cannot be used.
@@ -105,7 +105,7 @@ impl Sweep {
         Ok(Some(Self::new(&near, &far)))
     }
 
-    /// Notes a plan.
+    /// Takes a plan.
     pub fn plan(&mut self, plan_id: u64, views: &[PlannedView]) {
         let tiles = views.iter().map(|view| (view.kind, view.tile)).collect();
         self.plans.push_back((plan_id, tiles));
@@ -114,7 +114,7 @@ impl Sweep {
         }
     }
 
-    /// Notes that a view was searched.
+    /// Takes the record of a searched view.
     pub fn searched(&mut self, header: &DetectionHeader) {
         let stamp = &header.stamp;
         let epoch = (stamp.source_generation, stamp.epoch);
@@ -140,7 +140,7 @@ impl Sweep {
             })
             .filter(|_| header.failed == 0);
         let Some(part) = part else { return };
-        // Records of a frame may come after those of the next frame.
+        // Records of a frame may arrive after records of the next frame.
         let Some(gap) = stamp.sequence.checked_sub(part.last.unwrap_or(first)) else { return };
         if part.last.is_some() && gap > 0 {
             (part.sum, part.gaps) = (part.sum.saturating_add(gap), part.gaps + 1);

@@ -9,7 +9,7 @@ use csv::StringRecord;
 use nalgebra::{Quaternion, SMatrix, UnitQuaternion};
 use serde::Serialize;
 
-/// Why a table cannot be read.
+/// The reason why a table cannot be read.
 #[allow(missing_docs, reason = "the messages say what each is")]
 #[derive(Debug, thiserror::Error)]
 pub enum TableError {
@@ -29,12 +29,12 @@ pub enum TableError {
 
 /// A row of a table.
 pub trait TableRow: Sized {
-    /// Columns without which nothing can be said, as the first line of a file names them.
+    /// Required columns, in the form of a file's first line.
     const REQUIRED: &'static str;
-    /// What writes a file with these columns.
+    /// The remedy if a column is missing: how to get a file with these columns.
     const CURE: &'static str;
 
-    /// Takes its values from the cells.
+    /// Reads a row from its cells.
     fn parse(cells: &TableCells<'_>) -> Result<Self, TableError>;
 }
 
@@ -47,12 +47,12 @@ pub struct TableCells<'a> {
 }
 
 impl TableCells<'_> {
-    /// What a cell holds; empty if there is no such column.
+    /// The text of a cell; empty if there is no such column.
     pub fn text(&self, column: &str) -> &str {
         self.columns.get(column).and_then(|&index| self.record.get(index)).unwrap_or("").trim()
     }
 
-    /// What a cell holds, as `wanted` says; `None` if it is empty.
+    /// The value of a cell; `None` if it is empty. `wanted` describes a valid value in the error.
     pub fn value<T: FromStr>(
         &self,
         column: &str,
@@ -65,7 +65,7 @@ impl TableCells<'_> {
         text.parse().map(Some).map_err(|_| self.refuse(column, wanted))
     }
 
-    /// A number that there may be.
+    /// A number; `None` in an empty cell.
     pub fn maybe_number(&self, column: &str) -> Result<Option<f64>, TableError> {
         let wanted = "a finite number";
         match self.value::<f64>(column, wanted)? {
@@ -74,18 +74,18 @@ impl TableCells<'_> {
         }
     }
 
-    /// A number that there must be.
+    /// A required number.
     pub fn number(&self, column: &str) -> Result<f64, TableError> {
         self.maybe_number(column)?.ok_or_else(|| self.refuse(column, "a finite number"))
     }
 
-    /// A whole number, 0 or more, that there must be.
+    /// A required whole number, 0 or more.
     pub fn count(&self, column: &str) -> Result<u64, TableError> {
         let wanted = "a whole number from 0";
         self.value(column, wanted)?.ok_or_else(|| self.refuse(column, wanted))
     }
 
-    /// A whole number, 0 or more, of 32 bits, that there must be.
+    /// A required whole number, 0 or more, of 32 bits.
     pub fn small_count(&self, column: &str) -> Result<u32, TableError> {
         u32::try_from(self.count(column)?)
             .map_err(|_| self.refuse(column, "a whole number below 4294967296"))
@@ -94,7 +94,7 @@ impl TableCells<'_> {
     /// A rotation from the columns of its quaternion x, y, z, w.
     ///
     /// # Errors
-    /// A number is none, or the quaternion's length is not 1 within 1 %.
+    /// A cell is not a number, or the quaternion's length is not 1 within 1 %.
     pub fn rotation(&self, xyzw: [&str; 4]) -> Result<UnitQuaternion<f64>, TableError> {
         let [x, y, z, w] = xyzw;
         let quaternion =
@@ -119,7 +119,7 @@ impl TableCells<'_> {
         Ok(matrix)
     }
 
-    /// One of the codes that a cell names.
+    /// The code with the name in a cell.
     pub fn code<T: Copy + Serialize>(
         &self,
         codes: &[T],
@@ -131,7 +131,7 @@ impl TableCells<'_> {
         named.copied().ok_or_else(|| self.refuse(column, wanted))
     }
 
-    /// The error that a cell deserves.
+    /// The error of an invalid cell.
     pub fn refuse(&self, column: &str, wanted: &'static str) -> TableError {
         TableError::Cell {
             path: self.path.to_owned(),
@@ -143,7 +143,7 @@ impl TableCells<'_> {
     }
 }
 
-/// Rows and columns of the upper triangle of a square matrix, row by row.
+/// Row and column numbers of the upper triangle of a square matrix, row by row.
 fn upper_triangle(size: usize) -> impl Iterator<Item = (usize, usize)> {
     (0..size).flat_map(move |row| (row..size).map(move |column| (row, column)))
 }
@@ -156,12 +156,12 @@ pub(crate) fn triangle<const SIZE: usize, const CELLS: usize>(
     std::array::from_fn(|_| places.next().map_or(0.0, |place| matrix[place]))
 }
 
-/// A cell for each number. Without numbers they are empty.
+/// A cell for each number. All are empty if the numbers are unknown.
 pub(crate) fn cells<const CELLS: usize>(numbers: Option<[f64; CELLS]>) -> [Option<f64>; CELLS] {
     std::array::from_fn(|k| numbers.map(|numbers| numbers[k]))
 }
 
-/// What a code is called in a file.
+/// The name of a code in a file.
 fn name(code: impl Serialize) -> String {
     match serde_json::to_value(code) {
         Ok(serde_json::Value::String(name)) => name,
@@ -172,8 +172,8 @@ fn name(code: impl Serialize) -> String {
 /// Reads a CSV file by its column names.
 ///
 /// # Errors
-/// The file cannot be read, columns are missing, or a cell is not as it should be: with its line
-/// and column.
+/// The file cannot be read, columns are missing, or a cell is invalid. The error contains line and
+/// column.
 pub fn read<R: TableRow>(path: &Path) -> Result<Vec<R>, TableError> {
     let unreadable = |error: csv::Error| TableError::Unreadable {
         path: path.to_owned(),

@@ -8,8 +8,8 @@ use serde::Serialize;
 use crate::table::{TableCells, TableError, TableRow};
 use crate::writer::WrittenRow;
 
-/// A row of the truth: the body's pose in the camera frame. Columns of the reference recordings,
-/// and the camera's own attitude.
+/// A row of the truth: the body's pose in the camera frame. The columns are those of the reference
+/// recordings, and the camera's attitude.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct TruthRow {
     /// The source's frame, from 0.
@@ -56,7 +56,7 @@ pub struct TruthRow {
     pub iso: u32,
     /// Length of the exposure, seconds; 0 where it is not known.
     pub exposure_s: f64,
-    /// 1 if a whole marker is seen at less than 65 degrees of incidence.
+    /// 1 if a whole marker is visible at less than 65 degrees of incidence, else 0.
     pub localisable: u32,
     /// The camera's attitude in the world: turns directions in the camera frame into the world's.
     /// All four are empty where it is not known.
@@ -123,12 +123,12 @@ impl TruthRow {
         Some(rotation([self.camera_qx?, self.camera_qy?, self.camera_qz?, self.camera_qw?]))
     }
 
-    /// Its position.
+    /// The body's position, metres.
     pub fn position(&self) -> Vector3<f64> {
         Vector3::new(self.x, self.y, self.z)
     }
 
-    /// Its orientation.
+    /// The body's orientation.
     pub fn orientation(&self) -> UnitQuaternion<f64> {
         rotation([self.qx, self.qy, self.qz, self.qw])
     }

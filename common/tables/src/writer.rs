@@ -1,4 +1,4 @@
-//! CSV files that are being written.
+//! A writer of CSV files.
 
 use std::fs::File;
 use std::marker::PhantomData;
@@ -7,13 +7,13 @@ use std::path::{Path, PathBuf};
 use anyhow::Context;
 use serde::Serialize;
 
-/// A row that is written.
+/// A row that can be written.
 pub trait WrittenRow: Serialize {
-    /// The names of its columns, in the order in which it is serialized.
+    /// The names of the columns, in the order of serialization.
     fn names() -> Vec<&'static str>;
 }
 
-/// A CSV file of rows `R` that is being written. Its first line names the columns.
+/// A CSV file of rows `R` that is being written. Its first line contains the column names.
 pub struct TableWriter<R> {
     path: PathBuf,
     writer: csv::Writer<File>,
@@ -35,7 +35,7 @@ impl<R: WrittenRow> TableWriter<R> {
     /// Adds a row.
     ///
     /// # Errors
-    /// It cannot be written; for example the disk is full.
+    /// The row cannot be written, for example because the disk is full.
     pub fn add(&mut self, row: &R) -> anyhow::Result<()> {
         self.writer.serialize(row).with_context(|| format!("cannot write {}", self.path.display()))
     }

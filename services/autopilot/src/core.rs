@@ -1,4 +1,4 @@
-//! Tracks as the autopilot gets them, and its odometry as the contract has it. It has no port and
+//! Conversion of tracks for the autopilot, and of its odometry for the contract. It has no port and
 //! no clock.
 
 use flockeye_autopilot::{NeighbourState, OdometryState};
@@ -6,8 +6,8 @@ use flockeye_contract::{FrameStamp, OdometrySample, Track, TrackState};
 use flockeye_convert::{isometry, matrix6, pose, row_major};
 use flockeye_runtime::newest::Newest;
 
-/// The neighbours of a frame that was exposed at `exposure_monotonic_ns`. Left out are tracks that
-/// may be nobody, and those of frames older than the newest of their target.
+/// The neighbours of a frame that was exposed at `exposure_monotonic_ns`. Tentative tracks are left
+/// out, and those of older frames than the newest of their target.
 pub(crate) fn neighbours_of(
     tracks: &[Track],
     stamp: &FrameStamp,
@@ -26,7 +26,7 @@ pub(crate) fn neighbours_of(
     newest.tracks(stamp, tracks).filter_map(neighbour).collect()
 }
 
-/// Whether a track of this state has ended; none for one that may be nobody.
+/// Whether a track of this state has ended; none for a tentative or unknown state.
 fn is_lost(state: u32) -> Option<bool> {
     match TrackState::try_from(state) {
         Ok(TrackState::Lost) => Some(true),
@@ -35,7 +35,7 @@ fn is_lost(state: u32) -> Option<bool> {
     }
 }
 
-/// The autopilot's estimate as the topic `odometry` has it.
+/// The autopilot's estimate in the format of the topic `odometry`.
 pub(crate) fn sample_of(state: &OdometryState, generation: u32) -> OdometrySample {
     let odometry = &state.odometry;
     OdometrySample {

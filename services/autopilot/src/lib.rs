@@ -1,12 +1,12 @@
-//! Stage: tracks to the drone's autopilot, and its odometry back.
+//! Stage: sends tracks to the drone's autopilot, and publishes its odometry.
 //!
 //! | module | what it does |
 //! | --- | --- |
-//! | `core` | which tracks are sent, and odometry as the contract has it |
+//! | `core` | conversion of tracks for the autopilot, and of odometry for the contract |
 //! | `stage` | the ports, and the line of `flockeye-autopilot` |
 //!
 //! It is an onlooker: it reads `track`, and no other stage waits for it. The gateway reads its
-//! `odometry`, and reports frames without it where none comes.
+//! `odometry`, and reports frames without it where it is missing.
 
 mod core;
 mod stage;

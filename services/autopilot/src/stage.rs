@@ -12,13 +12,13 @@ use flockeye_runtime::{Context, Stage, Step, clock};
 
 use crate::core::{neighbours_of, sample_of};
 
-/// How often it is looked whether odometry has come, nanoseconds. Peers get it with a frame's
-/// report, which leaves some 20 ms after the exposure.
+/// Period of the check for odometry, nanoseconds. A frame's report, which is sent some 20 ms after
+/// the exposure, carries it to the peers.
 const LOOK_NS: i64 = 5_000_000;
-/// How often the line's state is reported, nanoseconds.
+/// Period of the report on the line's state, nanoseconds.
 const DETAIL_NS: i64 = 500_000_000;
 
-/// Takes tracks; gives the autopilot its neighbours, and the pipeline the drone's odometry.
+/// Sends tracks to the autopilot as its neighbours, and publishes the drone's odometry.
 pub(crate) struct AutopilotStage {
     tracks: Subscriber<Tracks>,
     odometries: Publisher<Odometries>,
@@ -76,7 +76,7 @@ impl Stage for AutopilotStage {
 }
 
 impl AutopilotStage {
-    /// Reports whether the autopilot is there.
+    /// Reports whether the autopilot sends messages.
     fn look(&mut self, now_ns: i64) {
         let AutopilotStatus { is_open, is_heard, .. } = self.line.status();
         let what = match (is_open, is_heard) {

@@ -1,4 +1,4 @@
-//! When coded frames came in.
+//! Arrival times of coded frames.
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex};
@@ -22,19 +22,19 @@ pub(crate) fn on_each_buffer(
     });
 }
 
-/// When the camera's coded frames came in, by their time stamps.
+/// Arrival times of the camera's coded frames, by their time stamps.
 ///
-/// Decoding takes a time of its own that varies; what counts is when the data left the camera's
-/// cable. The time stamp, which parsers and decoders pass on, finds it again.
+/// Decoding time varies, so the arrival of the data from the camera is used instead. The time stamp
+/// is the key, because parsers and decoders preserve it.
 #[derive(Debug, Default)]
 pub(crate) struct Arrivals(Mutex<VecDeque<(gst::ClockTime, i64)>>);
 
 impl Arrivals {
-    /// Entries that are kept: more frames than a decoder has inside, and so few that a search takes
-    /// no time.
+    /// Number of entries: more than the frames inside a decoder, and few enough for a linear
+    /// search.
     const KEPT: usize = 64;
 
-    /// Notes from now on when buffers leave the pipeline's sources.
+    /// Notes the times at which buffers leave the pipeline's sources.
     pub(crate) fn of(pipeline: &gst::Pipeline) -> Arc<Self> {
         let arrivals = Arc::new(Self::default());
         let mut sources = pipeline.iterate_sources();
@@ -48,7 +48,7 @@ impl Arrivals {
 
     fn enter(&self, pts: gst::ClockTime, arrival_ns: i64) {
         let mut entries = lock(&self.0);
-        // A frame may come in pieces; it is here when its last piece is.
+        // A frame may have several buffers: its arrival is that of the last.
         entries.retain(|&(known, _)| known != pts);
         if entries.len() >= Self::KEPT {
             entries.pop_front();

@@ -1,34 +1,35 @@
-//! Coded pictures as files and cameras have them, made Annex B's byte stream (ITU-T H.264 and
-//! H.265), with the parameter sets before each key frame. No picture is coded anew: the decoder
-//! gives the same pixels.
+//! Conversion of coded pictures from files and cameras to the byte stream of Annex B (ITU-T H.264
+//! and H.265). Parameter sets are inserted before each key frame. Pictures are not recoded: the
+//! decoder gives the same pixels.
 
 use flockeye_contract::VideoCodec;
 
 const START: [u8; 4] = [0, 0, 0, 1];
 
-/// Makes packets of one stream.
+/// Converter for the packets of one stream.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct ByteStream {
     codec: VideoCodec,
-    /// Each unit has its length before it, in so many bytes; `None`: it is a byte stream already.
+    /// Size of the length field before each unit, bytes; `None`: the input is a byte stream
+    /// already.
     length_bytes: Option<usize>,
-    /// The parameter sets that are valid, without start codes.
+    /// Current parameter sets, without start codes.
     sets: Vec<Vec<u8>>,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Unit {
-    /// The unit begins a picture.
+    /// Access unit delimiter, at the begin of a picture.
     Delimiter,
-    /// The first kind of parameter sets: others follow from it.
+    /// Top-level parameter set, to which the others refer.
     FirstSet,
     Set,
     Other,
 }
 
 impl ByteStream {
-    /// The converter of a stream whose `codec_data` describe how units are told apart (ISO/IEC
-    /// 14496-15, `avcC` and `hvcC`); without them it is a byte stream.
+    /// A converter for a stream with these `codec_data` (ISO/IEC 14496-15, `avcC` and `hvcC`).
+    /// Without them, the stream is a byte stream.
     pub(crate) fn new(codec: VideoCodec, codec_data: Option<&[u8]>) -> Result<Self, String> {
         let (length_bytes, sets) = match codec_data {
             None => (None, Vec::new()),
@@ -102,7 +103,7 @@ fn take<'b>(rest: &mut &'b [u8], count: usize) -> Option<&'b [u8]> {
     Some(taken)
 }
 
-/// A number, big-endian.
+/// Reads a big-endian number.
 fn number(rest: &mut &[u8], bytes: usize) -> Option<usize> {
     Some(take(rest, bytes)?.iter().fold(0, |sum, &byte| sum << 8 | usize::from(byte)))
 }
@@ -134,7 +135,7 @@ fn hevc_configuration(mut data: &[u8]) -> Option<(usize, Vec<Vec<u8>>)> {
     Some((usize::from(head[21] & 3) + 1, sets))
 }
 
-/// The units of a picture, each with its length before it.
+/// The units of a picture with length fields.
 fn units_by_length(mut picture: &[u8], length_bytes: usize) -> Option<Vec<&[u8]>> {
     let rest = &mut picture;
     let mut units = Vec::new();
@@ -145,7 +146,7 @@ fn units_by_length(mut picture: &[u8], length_bytes: usize) -> Option<Vec<&[u8]>
     Some(units)
 }
 
-/// The units of a picture with a start code before each.
+/// The units of a picture with start codes.
 fn units_by_start_code(picture: &[u8]) -> Option<Vec<&[u8]>> {
     let starts: Vec<usize> = picture
         .windows(3)
@@ -153,7 +154,7 @@ fn units_by_start_code(picture: &[u8]) -> Option<Vec<&[u8]>> {
         .filter(|(_, three)| *three == [0, 0, 1])
         .map(|(at, _)| at)
         .collect();
-    // Zeros may stand before the first one.
+    // Zeros are allowed before the first start code.
     let first = *starts.first()?;
     if picture[..first].iter().any(|&byte| byte != 0) {
         return None;
@@ -161,7 +162,7 @@ fn units_by_start_code(picture: &[u8]) -> Option<Vec<&[u8]>> {
     let ends = starts.iter().skip(1).copied().chain([picture.len()]);
     let unit = |(start, end): (&usize, usize)| {
         let unit = &picture[start + 3..end];
-        // No unit ends with zeros: those belong to the next start code.
+        // Trailing zeros belong to the next start code.
         let length = unit.iter().rposition(|&byte| byte != 0).map_or(0, |last| last + 1);
         &unit[..length]
     };

@@ -1,8 +1,8 @@
-//! Which frame of the source a decoded frame is, and when it belongs in the recording.
+//! Sequence numbers and stream times of decoded frames.
 
 use std::time::Duration;
 
-/// Numbers decoded frames, before any is dropped, and counts their time from the first one.
+/// Counter of decoded frames before any is dropped. Stream times start at the first frame.
 #[derive(Debug, Default)]
 pub(crate) struct Census {
     pub(crate) first: Duration,
@@ -10,9 +10,9 @@ pub(crate) struct Census {
 }
 
 impl Census {
-    /// Numbers the next decoded frame. `time` is its time stamp in the stream, `frame` the time
-    /// from frame to frame, for streams that stamp nothing. Returns its sequence number and its
-    /// time from the stream's first frame.
+    /// Numbers the next decoded frame. `time` is its time stamp in the stream; `frame` is the frame
+    /// period, for streams without time stamps. Returns its sequence number and its time since the
+    /// stream's first frame.
     pub(crate) fn enter(
         &mut self,
         time: Option<Duration>,

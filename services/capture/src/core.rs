@@ -1,34 +1,34 @@
-//! Which frame of which epoch a picture is, and what lies between two of them. It has no port and
-//! no clock.
+//! Sequence numbers, epochs and headers of pictures, and dropped frames. It has no port and no
+//! clock.
 
 use flockeye_config::{Flow, Resolved};
 use flockeye_contract::{FrameHeader, FrameStamp, Range};
 use flockeye_convert::frame_header;
 
-/// What is known of a picture.
+/// Facts about a picture for its frame header.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PictureFacts {
-    /// Its number since the source was opened, of those that it gave.
+    /// Sequence number since the source was opened.
     pub sequence: u64,
-    /// The number that its frame has: the same, or that of a recorded flight.
+    /// Frame number: equal to the sequence number, or from a recorded flight.
     pub number: u64,
-    /// Its place in the stream, nanoseconds.
+    /// Stream time, nanoseconds.
     pub stream_ns: i64,
-    /// The middle of its exposure, CLOCK_MONOTONIC, nanoseconds.
+    /// Middle of the exposure, CLOCK_MONOTONIC, nanoseconds.
     pub exposure_ns: i64,
-    /// Its columns and rows.
+    /// Columns and rows.
     pub size_px: (u32, u32),
-    /// The range of its code values.
+    /// Range of the code values.
     pub range: Range,
     /// Exposure time and readout time of a recorded flight's frame, nanoseconds.
     pub recorded_ns: Option<(u64, u64)>,
 }
 
-/// What capture keeps between frames.
+/// State of capture between frames.
 #[derive(Debug, Clone)]
 pub struct Core {
     flow: Flow,
-    /// What the headers of all frames of this epoch have in common.
+    /// Header fields that are equal in all frames of this epoch.
     common: FrameHeader,
     next_sequence: u64,
     has_ended: bool,
@@ -49,9 +49,8 @@ impl Core {
         Self { flow, common, next_sequence: 0, has_ended: false }
     }
 
-    /// The header of a picture that is published at `published_ns`, and how many frames the source
-    /// left out before it because a newer one had come. In lossless flow a picture's exposure is
-    /// its stream time, so that filters see the recording's clock.
+    /// The header of a picture published at `published_ns`, and the number of frames dropped before
+    /// it. In lossless flow the exposure is stream time, so that filters use the recording's clock.
     pub fn on_picture(&mut self, picture: &PictureFacts, published_ns: i64) -> (FrameHeader, u64) {
         let PictureFacts { sequence, number, stream_ns, size_px: (width, height), .. } = *picture;
         let dropped = sequence.saturating_sub(self.next_sequence);
@@ -82,23 +81,23 @@ impl Core {
         (header, dropped)
     }
 
-    /// The source counts from 0 again: it loops, or was opened again.
+    /// Begins an epoch: the source restarts at 0, because it loops or was opened again.
     pub(crate) fn begin_epoch(&mut self) {
         self.common.stamp.epoch += 1;
         self.next_sequence = 0;
     }
 
-    /// Which epoch it is.
+    /// Current epoch.
     pub(crate) fn epoch(&self) -> u32 {
         self.common.stamp.epoch
     }
 
-    /// The source has come to its end.
+    /// Notes the end of the source.
     pub(crate) fn end(&mut self) {
         self.has_ended = true;
     }
 
-    /// Whether nothing more is to come.
+    /// Whether the source has ended.
     pub(crate) fn has_ended(&self) -> bool {
         self.has_ended
     }

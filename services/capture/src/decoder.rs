@@ -1,4 +1,4 @@
-//! Which decoder GStreamer chose, and how it is set.
+//! The decoder that GStreamer chose, and its settings.
 
 use flockeye_config::Flow;
 use gstreamer as gst;
@@ -7,24 +7,24 @@ use gstreamer::prelude::*;
 use crate::input::Input;
 use crate::parameters::SourceParameters;
 
-/// How a software decoder uses several processors.
+/// Threading of a software decoder.
 ///
-/// libav's decoders can decode several frames at a time. That makes use of all processors, and
-/// holds back one frame for each further one. Or they decode the slices of a frame at a time, which
-/// holds none back, and is as fast only if the stream has several slices. Left alone they do the
-/// first unless the source announces that it is live, and not every camera's driver does.
+/// libav's decoders have two modes. Frame threads use all processors, but add a latency of one
+/// frame per further thread. Slice threads add no latency, but are fast only for streams with
+/// several slices. The default is frame threads unless the source is live, which not every camera's
+/// driver announces.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Threading {
-    /// The decoder chooses, with this many threads; 0 leaves that to it too.
+    /// Mode chosen by the decoder, with this many threads; 0: number chosen by the decoder.
     Chosen(u32),
-    /// Slices of one frame at a time.
+    /// Slice threads.
     Slices,
-    /// This many frames at a time.
+    /// This many frame threads.
     Frames(u32),
 }
 
 impl Threading {
-    /// The way for an input, with the threads that are configured.
+    /// Threading for an input, with the configured number of threads.
     pub(crate) fn of(input: &Input, params: &SourceParameters) -> Self {
         match (params.flow, input.is_camera(), params.decoder_threads) {
             (Flow::Latest, true, 0) => Self::Slices,
@@ -33,8 +33,7 @@ impl Threading {
         }
     }
 
-    /// The way that is faster than this and keeps one more frame inside; `None` if no processor is
-    /// left for it.
+    /// Faster threading, with one more frame of latency; `None` without a further processor.
     pub(crate) fn faster(self, processors: u32) -> Option<Self> {
         let frames = match self {
             Self::Frames(frames) => frames + 1,
@@ -44,7 +43,7 @@ impl Threading {
     }
 }
 
-/// Sets an element of the decoding bin as soon as it is chosen.
+/// Configures a new element of the decoding bin.
 pub(crate) fn configure(element: &gst::Element, threading: Threading) {
     if !is_decoder(element) {
         return;
@@ -55,7 +54,7 @@ pub(crate) fn configure(element: &gst::Element, threading: Threading) {
         Threading::Frames(threads) => (Some("frame"), threads),
     };
     if threads > 0 {
-        // libav's decoders have the first, libvpx's the second.
+        // Property of libav's decoders, and of libvpx's decoders.
         for name in ["max-threads", "threads"] {
             set_if_there(element, name, &threads.to_string());
         }
@@ -63,7 +62,7 @@ pub(crate) fn configure(element: &gst::Element, threading: Threading) {
     if let Some(kind) = kind {
         set_if_there(element, "thread-type", kind);
     }
-    // The default, ifast, is off by up to several code values and hardly faster.
+    // The default, ifast, has errors of several code values and is hardly faster.
     set_if_there(element, "idct-method", "islow");
 }
 
@@ -73,7 +72,7 @@ fn set_if_there(element: &gst::Element, name: &str, value: &str) {
     }
 }
 
-/// The decoders in use: names, each with `(hardware)` or `(software)`.
+/// Names of the decoders in use, each with `(hardware)` or `(software)`.
 pub(crate) fn chosen(pipeline: &gst::Pipeline) -> Vec<String> {
     let name = |element: gst::Element| {
         let kind = if class_of(&element).contains("Hardware") { "hardware" } else { "software" };
@@ -82,8 +81,7 @@ pub(crate) fn chosen(pipeline: &gst::Pipeline) -> Vec<String> {
     elements(pipeline).filter(is_decoder).filter_map(name).collect()
 }
 
-/// Whether one of the decoders in use takes video: anything but single pictures, as JPEG and PNG
-/// are.
+/// Whether a decoder in use decodes video, not single images such as JPEG or PNG.
 pub(crate) fn takes_video(pipeline: &gst::Pipeline) -> bool {
     let takes_images = |element: gst::Element| {
         let caps = element.static_pad("sink").and_then(|pad| pad.current_caps());
@@ -92,12 +90,12 @@ pub(crate) fn takes_video(pipeline: &gst::Pipeline) -> bool {
     !elements(pipeline).filter(is_decoder).all(takes_images)
 }
 
-/// All elements of a pipeline, those within bins too.
+/// All elements of a pipeline, also within bins.
 pub(crate) fn elements(pipeline: &gst::Pipeline) -> impl Iterator<Item = gst::Element> + use<> {
     pipeline.iterate_recurse().into_iter().map_while(Result::ok)
 }
 
-/// How many streams the file's demuxer offers; 0 without one.
+/// Number of streams of the file's demuxer; 0 without a demuxer.
 pub(crate) fn streams(pipeline: &gst::Pipeline) -> usize {
     let demuxers = elements(pipeline).filter(|element| class_of(element).contains("Demux"));
     demuxers.map(|demuxer| usize::from(demuxer.num_src_pads())).sum()

@@ -1,36 +1,35 @@
-//! Everything that keeps a source from being used.
+//! Errors of a source.
 
 use std::path::PathBuf;
 
-/// Everything that keeps a source from being used. What a camera can recover from is not here: it
-/// is [`crate::Event::Lost`].
+/// Final errors of a source. Recoverable losses of a camera are [`crate::Event::Lost`].
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[expect(missing_docs, reason = "the texts name the fields")]
 pub enum CaptureError {
-    /// What stands for the source cannot be understood.
+    /// The source specification is invalid.
     #[error("source \"{text}\": {reason}")]
     Spec { text: String, reason: String },
-    /// A parameter makes no sense.
+    /// A parameter is invalid.
     #[error("{name} is {value}: {cure}")]
     Parameter { name: &'static str, value: String, cure: &'static str },
-    /// GStreamer itself does not start.
+    /// GStreamer does not start.
     #[error(
         "GStreamer does not start: {0}. Cure: reinstall libgstreamer1.0-0 and gstreamer1.0-plugins-base"
     )]
     GStreamer(String),
-    /// The path leads to no file or folder.
+    /// The path does not exist.
     #[error("{} does not exist. Cure: check the path; relative ones start at {}", path.display(), from.display())]
     Missing { path: PathBuf, from: PathBuf },
-    /// The file is there and cannot be read.
+    /// The file exists, but cannot be read.
     #[error("{} cannot be read: {reason}", path.display())]
     Unreadable { path: PathBuf, reason: String },
-    /// The file has no video that can be played.
+    /// The file has no playable video.
     #[error("{} is not a video: {reason}", path.display())]
     NotAVideo { path: PathBuf, reason: String },
-    /// A recording of a flight that cannot be read.
+    /// A recorded flight cannot be read.
     #[error("{0}")]
     Recording(String),
-    /// A recording of a flight that has nothing to play.
+    /// A recorded flight has no pictures.
     #[error(
         "{} has no pictures of frames: {reason}. Cure: record with --frames 'every 1', or with --frames camera where \
          the source is coded video", path.display()
@@ -42,15 +41,15 @@ pub enum CaptureError {
     /// A GStreamer element is not installed.
     #[error("GStreamer has no element {element}. Cure: {cure}")]
     MissingElement { element: String, cure: String },
-    /// Nothing installed decodes this file.
+    /// No installed decoder supports this file.
     #[error("{}: nothing here decodes {what}. Cure: apt-get install gstreamer1.0-libav gstreamer1.0-plugins-good gstreamer1.0-plugins-bad", path.display())]
     MissingDecoder { path: PathBuf, what: String },
-    /// A source description that GStreamer cannot make a pipeline of.
+    /// GStreamer cannot build a pipeline from a source description.
     #[error(
         "source description \"{description}\": {reason}. Cure: try it with gst-launch-1.0 and \"! fakesink\" at its end"
     )]
     Description { description: String, reason: String },
-    /// Frames are not of the size that was configured.
+    /// Frames do not have the configured size.
     #[error(
         "{what} has frames of {}x{}, {}x{} were expected. Cure: set camera.width to {} and camera.height to {}",
         found.0, found.1, expected.0, expected.1, found.0, found.1

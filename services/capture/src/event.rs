@@ -1,64 +1,64 @@
-//! What comes out of a source.
+//! Events of a source.
 
 use std::fmt;
 use std::time::Duration;
 
 use crate::SourcePicture;
 
-/// What [`crate::FrameSource::next`] came back with.
+/// Result of [`crate::FrameSource::next`].
 #[derive(Debug)]
 pub enum Event {
     /// A frame.
     Frame(SourcePicture),
-    /// Nothing happened within the time given.
+    /// No event before the timeout.
     Idle,
-    /// A recording starts again; sequence and stream time count from 0. Raise the epoch.
+    /// A recording starts again; sequence and stream time restart at 0. Raise the epoch.
     Looped {
-        /// How the round that is over ended.
+        /// End of the last round.
         after: EndReason,
     },
-    /// In a recording of a flight, the source began anew. Raise the epoch.
+    /// The source of a recorded flight was restarted. Raise the epoch.
     NewEpoch,
-    /// An image of a folder, or a picture of a recording of a flight, could not be used; the others
-    /// go on. Its sequence number stays free.
+    /// An image of a folder, or a picture of a recorded flight, could not be used and is skipped.
+    /// Its sequence number is not used again.
     Skipped {
-        /// Which one.
+        /// Name of the image or picture.
         what: String,
-        /// Why, and what to do about it.
+        /// Reason and cure.
         why: String,
     },
-    /// A camera's frames come later than they could. Said once, while all goes on.
+    /// A camera's frames have an avoidable latency. Sent once; the source continues.
     Late {
-        /// Why, what it costs, and what to do about it.
+        /// Reason, latency and cure.
         what: String,
     },
-    /// A camera went away, or did not come back. Later calls open it again; sequence and stream
-    /// time then count from 0. Raise the epoch.
+    /// A camera was lost, or could not be opened again. Later calls open it again; sequence and
+    /// stream time then restart at 0. Raise the epoch.
     Lost {
-        /// What happened, and what to do about it.
+        /// Reason and cure.
         reason: String,
-        /// When the next attempt is made.
+        /// Time until the next attempt.
         retry_in: Duration,
     },
-    /// A recording is over. Every later call gives this again.
+    /// End of a recording. Every later call returns it again.
     End(EndReason),
 }
 
-/// How a recording ended.
+/// End of a recording.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum EndReason {
     /// The file was played to its end.
     Complete {
-        /// Frames decoded.
+        /// Number of decoded frames.
         frames: u64,
-        /// Images of a folder, or pictures of a flight, that could not be used.
+        /// Number of unusable images of a folder, or pictures of a flight.
         skipped: u64,
     },
-    /// The file broke off: the rest is missing or broken.
+    /// The file was truncated: the rest is missing or damaged.
     Truncated {
-        /// Frames decoded up to there.
+        /// Number of frames decoded before.
         decoded: u64,
-        /// What is wrong with the rest.
+        /// Error in the rest.
         reason: String,
     },
 }

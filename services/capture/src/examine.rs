@@ -1,4 +1,4 @@
-//! What a source needs of this machine (`flockeye doctor`).
+//! Checks of this machine for a source (`flockeye doctor`).
 
 use std::path::Path;
 use std::process::Command;
@@ -10,7 +10,7 @@ use gstreamer::prelude::*;
 
 use crate::SourceSpec;
 
-/// What recordings and cameras are coded in, as users and as GStreamer call it.
+/// Usual codecs of recordings and cameras: name, and GStreamer's media type.
 const CODECS: [(&str, &str); 3] =
     [("H.264", "video/x-h264"), ("H.265", "video/x-h265"), ("JPEG", "image/jpeg")];
 
@@ -35,7 +35,7 @@ pub(crate) fn examine(pipeline: &Pipeline) -> Vec<Finding> {
     findings
 }
 
-/// The elements that a source is played by, and the device itself.
+/// Findings about a source's elements and its device.
 fn needs(spec: &SourceSpec, pipeline: &Pipeline) -> Vec<Finding> {
     match spec {
         SourceSpec::Theta => {
@@ -69,7 +69,7 @@ fn element(name: &str, cure: &str) -> Finding {
     }
 }
 
-/// The decoder that GStreamer prefers, and whether it is the processor's work.
+/// Finding about GStreamer's preferred decoder: hardware or software.
 fn decoder(codec: &str, caps: &str) -> Finding {
     let caps = gst::Caps::new_empty_simple(caps);
     let kinds = gst::ElementFactoryType::DECODER | gst::ElementFactoryType::MEDIA_VIDEO;
@@ -116,7 +116,7 @@ fn modes(device: &Path, (width, height): (u32, u32)) -> Finding {
         source.set_property("device", &*device.to_string_lossy());
         source.set_state(gst::State::Ready).ok()?;
         let caps = source.static_pad("src")?.query_caps(None);
-        // The source has reported what it can; how it ends does not matter.
+        // The caps are read already, so an error here is harmless.
         let _ = source.set_state(gst::State::Null);
         Some(caps)
     };
@@ -143,7 +143,7 @@ fn modes(device: &Path, (width, height): (u32, u32)) -> Finding {
     }
 }
 
-/// Whether Ricoh's driver found Ricoh's libuvc: Debian's does not know the camera's formats.
+/// Finding about the libuvc of Ricoh's driver: Debian's version lacks the camera's formats.
 fn theta_library() -> Option<Finding> {
     const TOPIC: &str = "camera";
     let plugin = gst::ElementFactory::find("thetauvcsrc")?.plugin()?.filename()?;
@@ -164,7 +164,7 @@ fn theta_library() -> Option<Finding> {
     })
 }
 
-/// Where `ldd` found a library.
+/// Path of a library in the output of `ldd`.
 fn library<'s>(said: &'s str, name: &str) -> Option<&'s str> {
     let line = said.lines().find(|line| line.trim_start().starts_with(name))?;
     let path = line.split_once("=>")?.1.trim();

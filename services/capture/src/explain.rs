@@ -1,4 +1,4 @@
-//! GStreamer's errors, translated into what a user can act on.
+//! Translation of GStreamer's errors to texts with a cure.
 
 use std::path::Path;
 
@@ -7,22 +7,22 @@ use gstreamer as gst;
 use crate::CaptureError;
 use crate::input::Input;
 
-/// An error from the pipeline's bus.
+/// An error message of the pipeline's bus.
 #[derive(Debug, Clone)]
 pub(crate) struct Failure {
     pub(crate) error: gst::glib::Error,
-    /// What a missing plugin would have decoded.
+    /// Name of the format for which a plugin is missing.
     pub(crate) undecodable: Option<String>,
 }
 
 impl Failure {
-    /// A failure that GStreamer itself does not put into words.
+    /// A failure without an error of GStreamer.
     pub(crate) fn of_ours(text: &str) -> Self {
         let error = gst::glib::Error::new(gst::CoreError::Failed, text);
         Self { error, undecodable: None }
     }
 
-    /// Whether the source's format, not its access, is at fault.
+    /// Whether the error is one of these stream errors.
     fn is(&self, kinds: &[gst::StreamError]) -> bool {
         self.error.kind::<gst::StreamError>().is_some_and(|kind| kinds.contains(&kind))
     }
@@ -45,7 +45,7 @@ impl Failure {
         CaptureError::NotAVideo { path, reason }
     }
 
-    /// Why something that was playing stopped, or why a camera does not start.
+    /// Text for the failure of a running source, or of a camera's start.
     pub(crate) fn for_running(&self, input: &Input) -> String {
         let name = input.name();
         if let Some(what) = &self.undecodable {
@@ -86,7 +86,7 @@ impl Failure {
         })
     }
 
-    /// GStreamer's own words, without the full stop.
+    /// GStreamer's own text, without the full stop.
     pub(crate) fn text(&self) -> String {
         self.error.message().trim().trim_end_matches('.').to_owned()
     }

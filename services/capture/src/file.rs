@@ -1,6 +1,6 @@
 //! Checks of a file before GStreamer gets it.
 //!
-//! Two kinds of broken files are found here because decoders are silent about them.
+//! Decoders give no error for these two kinds of damage.
 
 use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom};
@@ -8,7 +8,7 @@ use std::path::Path;
 
 use crate::CaptureError;
 
-/// Refuses what is not there, what cannot be read, and what was visibly cut short.
+/// Refuses missing, unreadable and truncated files.
 pub(crate) fn check(path: &Path) -> Result<(), CaptureError> {
     let unreadable = |reason: String| CaptureError::Unreadable { path: path.to_owned(), reason };
     if path.is_dir() {
@@ -23,7 +23,7 @@ pub(crate) fn check(path: &Path) -> Result<(), CaptureError> {
     })?;
     let mut head = [0; 8];
     if file.read_exact(&mut head).is_err() {
-        // The file is too short for either kind; GStreamer names what is wrong.
+        // The file is too short for both checks; GStreamer reports the error.
         return Ok(());
     }
     let broken = |error: io::Error| unreadable(error.to_string());
@@ -41,11 +41,10 @@ pub(crate) fn check(path: &Path) -> Result<(), CaptureError> {
     Ok(())
 }
 
-/// Whether an MP4 file has a `moov` box on its top level (ISO/IEC 14496-12, section 4.2: each box
-/// opens with its length and its type; length 1 means that 8 bytes of length follow, 0 that it is
-/// the last box).
+/// Whether an MP4 file has a top-level `moov` box (ISO/IEC 14496-12, section 4.2). Each box begins
+/// with length and type. Length 1: a length of 8 bytes follows; length 0: last box.
 ///
-/// GStreamer's demuxer reports this too, but its bin may swallow the report and wait for ever.
+/// GStreamer's demuxer reports this too, but its bin may drop the report and wait for ever.
 fn has_index(file: &mut (impl Read + Seek)) -> io::Result<bool> {
     let number = |bytes: &[u8]| bytes.iter().fold(0_u64, |sum, &byte| sum << 8 | u64::from(byte));
     let end = file.seek(SeekFrom::End(0))?;
@@ -68,7 +67,7 @@ fn has_index(file: &mut (impl Read + Seek)) -> io::Result<bool> {
 }
 
 /// Whether a JPEG has its end marker (FF D9, ITU-T T.81, B.1.1.3) near its end; some cameras write
-/// something behind it. Decoders fill what is missing with gray.
+/// something behind it. Decoders fill missing data with gray.
 fn has_jpeg_end(file: &mut (impl Read + Seek)) -> io::Result<bool> {
     const TAIL: u64 = 64 * 1024;
     let end = file.seek(SeekFrom::End(0))?;

@@ -1,4 +1,4 @@
-//! A folder of images, each decoded by a pipeline of its own, so that a bad one harms no other.
+//! A folder of images. Each image has its own pipeline, so that a damaged image affects no other.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -22,16 +22,16 @@ pub(crate) struct Folder {
     images: Vec<PathBuf>,
     params: SourceParameters,
     position: usize,
-    /// The decoded image that waits for its time.
+    /// The decoded image that is not due yet.
     waiting: Option<(usize, SourcePicture)>,
-    /// When the first image was due: on the waiting clock, and on CLOCK_MONOTONIC.
+    /// Due time of the first image: as `Instant`, and on CLOCK_MONOTONIC, nanoseconds.
     started: Option<(Instant, i64)>,
     handed_out: u64,
     skipped: u64,
 }
 
 impl Folder {
-    /// Lists the images; none is decoded yet.
+    /// Lists the images without decoding.
     pub(crate) fn open(path: &Path, params: &SourceParameters) -> Result<Self, CaptureError> {
         if !(params.images_per_second.is_finite() && params.images_per_second > 0.0) {
             return Err(CaptureError::Parameter {
@@ -67,7 +67,7 @@ impl Folder {
         })
     }
 
-    /// Waits for at most `timeout`; decoding an image takes the time it takes.
+    /// Waits for at most `timeout`, but decoding of an image may take longer.
     pub(crate) fn next(&mut self, timeout: Duration) -> Event {
         let deadline = Instant::now() + timeout;
         let (index, picture) = match self.waiting.take() {
@@ -91,7 +91,7 @@ impl Folder {
         self.hand_out(index, picture, deadline)
     }
 
-    /// The next image to decode: in real time those are passed over whose successor is due.
+    /// Index of the next image to decode. In real time, images are skipped if the next one is due.
     fn upcoming(&self) -> usize {
         match self.started {
             Some((start, _)) if self.params.flow == Flow::Latest => {
@@ -137,7 +137,7 @@ fn is_image(file: &Path) -> bool {
     ["jpg", "jpeg", "png"].iter().any(|known| extension.eq_ignore_ascii_case(known))
 }
 
-/// Decodes one image. The error is the reason why it cannot be used.
+/// Decodes one image. The error is the reason of the failure.
 fn decode(path: &Path, params: &SourceParameters) -> Result<SourcePicture, String> {
     file::check(path).map_err(|error| error.to_string())?;
     let lossless = SourceParameters { flow: Flow::Lossless, ..params.clone() };

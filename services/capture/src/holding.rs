@@ -1,10 +1,9 @@
-//! Whether the decoder holds frames back, and whether it keeps up.
+//! Detection of decoders that hold frames back, or that are too slow.
 //!
-//! Coded frames are counted into the decoder and pictures out of it, by their time stamps. A
-//! decoder that gives each picture as soon as it has its data has none inside at that moment. One
-//! that decodes several frames at a time, or waits for a picture that is to be shown earlier,
-//! always has some. Frames that wait before the decoder, ever longer, show that it does not keep
-//! up.
+//! Coded frames are counted into the decoder, and pictures out of it, by their time stamps. A
+//! decoder without delay has no frame inside when a picture comes out. A decoder with frame threads
+//! or reordering always has some inside. A growing wait before the decoder shows that it is too
+//! slow.
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex};
@@ -18,35 +17,34 @@ use crate::arrivals::{Arrivals, on_each_buffer};
 use crate::decoder;
 use flockeye_runtime::clock::monotonic_ns;
 
-/// Pictures over which frames inside are counted: what is inside at each of them is held back. That
-/// is a second at 30 pictures a second.
+/// Length of a window in pictures: one second at 30 pictures/s. The minimum of frames inside over a
+/// window is held back.
 const WINDOW: u32 = 30;
-/// Pictures of a window that must be known by their time stamp: some streams stamp anew in the
-/// decoder.
+/// Minimum number of pictures in a window with a known time stamp: some decoders change time
+/// stamps.
 const MATCHED: u32 = 24;
-/// Frames inside that no decoder has: their time stamps are others than those of the pictures.
+/// Implausible number of frames inside: the pictures then have other time stamps than the frames.
 const MOST_INSIDE: usize = 64;
-/// Increase of the wait before the decoder that shows that frames are too many for it.
+/// Increase of the wait before the decoder from which it counts as too slow, nanoseconds.
 const BEHIND_NS: i64 = 100_000_000;
 
-/// What is wrong with a decoder.
+/// A problem of a decoder.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum DecoderFault {
     /// The decoder holds frames back.
     Holds {
-        /// How many, at least.
+        /// Minimum number of held frames.
         frames: usize,
-        /// What that costs, by the rate at which pictures came.
+        /// Resulting latency, by the rate of the pictures.
         delay: Duration,
-        /// Whether frames came in another order than they are shown in.
+        /// Whether decoding order and presentation order differ.
         reordered: bool,
     },
-    /// The decoder does not keep up: frames wait before it.
+    /// The decoder is too slow; frames wait this long before it.
     IsBehind(Duration),
 }
 
-/// Counts the frames of one pipeline's decoders, each for itself: a description may have several in
-/// a row.
+/// Counters of one pipeline's decoders, one per decoder: a description may have several in series.
 #[derive(Debug)]
 pub(crate) struct DecoderWatch {
     counts: Mutex<Vec<Arc<Mutex<FrameCount>>>>,
@@ -58,7 +56,7 @@ impl DecoderWatch {
         Arc::new(Self { counts: Mutex::default(), arrivals })
     }
 
-    /// Counts what goes through an element, if that is a decoder.
+    /// Counts the buffers through an element, if it is a decoder.
     pub(crate) fn attach(self: &Arc<Self>, element: &gst::Element) {
         let pads = (element.static_pad("sink"), element.static_pad("src"));
         let (true, (Some(sink), Some(src))) = (decoder::is_decoder(element), pads) else { return };
@@ -73,7 +71,7 @@ impl DecoderWatch {
         on_each_buffer(&src, move |pts| lock(&count).leave(pts, monotonic_ns()));
     }
 
-    /// What was noticed since the last call.
+    /// Takes the next detected problem.
     pub(crate) fn take(&self) -> Option<DecoderFault> {
         lock(&self.counts).iter().find_map(|count| lock(count).noticed.pop_front())
     }
@@ -81,13 +79,13 @@ impl DecoderWatch {
 
 #[derive(Debug, Default)]
 struct FrameCount {
-    /// Frames that went in and have not come out, in that order.
+    /// Time stamps of the frames inside, in decoding order.
     inside: VecDeque<gst::ClockTime>,
     newest: Option<gst::ClockTime>,
     reordered: bool,
     window: Option<CountWindow>,
     windows: u32,
-    /// How long frames waited when all was well.
+    /// Reference for the wait, from the first judged window, nanoseconds.
     usual_wait_ns: Option<i64>,
     has_said_held: bool,
     has_said_behind: bool,
@@ -104,7 +102,7 @@ struct CountWindow {
 }
 
 impl FrameCount {
-    /// A coded frame goes in, `waited_ns` after it arrived, where that is known.
+    /// Notes a coded frame at the decoder's input, `waited_ns` after its arrival, if known.
     fn enter(&mut self, pts: gst::ClockTime, waited_ns: Option<i64>) {
         self.reordered |= self.newest.is_some_and(|newest| pts < newest);
         self.newest = Some(pts);
@@ -122,7 +120,7 @@ impl FrameCount {
 
     fn leave(&mut self, pts: gst::ClockTime, now_ns: i64) {
         let is_known = self.inside.contains(&pts);
-        // Pictures come out in the order of their time stamps: one before this was lost.
+        // Pictures come out in presentation order: frames before this one were lost.
         self.inside.retain(|inside| *inside > pts);
         let held = self.inside.len();
         let Some(window) = &mut self.window else {
@@ -141,7 +139,7 @@ impl FrameCount {
 
     fn judge(&mut self, window: &CountWindow, now_ns: i64) {
         self.windows += 1;
-        // While it starts, anything may happen.
+        // The first window, during the start, is ignored.
         if self.windows == 1 {
             return;
         }

@@ -1,5 +1,5 @@
-//! A recording's inertial sensor: the samples of a CSV file or of a recorded flight, sent with the
-//! frames that they belong to.
+//! Inertial sensor of a recording: samples of a CSV file or of a recorded flight, sent with their
+//! frames.
 
 use std::path::Path;
 
@@ -13,11 +13,11 @@ use flockeye_tables::ImuRow;
 use crate::SourcePicture;
 use crate::recorded_flight::FlightClock;
 
-/// Reach of the samples beyond an exposure, seconds, besides `camera.latency_ms`: what has been
-/// measured when the picture is there.
+/// Reach of the samples beyond an exposure, in addition to `camera.latency_ms`, seconds: up to the
+/// arrival of the picture.
 const BEYOND_S: f64 = 0.01;
 
-/// The samples of a recording, between frames.
+/// Samples of a file, and the position in it.
 #[derive(Debug)]
 pub(crate) struct RecordedSensor {
     rows: Vec<ImuRow>,
@@ -29,9 +29,9 @@ pub(crate) struct RecordedSensor {
 }
 
 enum SampleSource {
-    /// A file beside the recording.
+    /// A separate file.
     File(RecordedSensor),
-    /// The recording itself: they come with its pictures.
+    /// The recording itself, with its pictures.
     Flight(FlightClock),
 }
 
@@ -42,7 +42,7 @@ pub(crate) struct InertialPort {
 }
 
 impl RecordedSensor {
-    /// Reads a recording's samples.
+    /// Reads the samples of a file.
     ///
     /// # Errors
     /// The file cannot be read, is empty, or its times do not rise.
@@ -71,8 +71,7 @@ impl RecordedSensor {
         self.epoch += 1;
     }
 
-    /// The samples that have been measured when a frame is there and that were not sent yet, on the
-    /// frame's clock.
+    /// Takes the samples up to a frame's arrival that were not sent yet, on the frame's clock.
     pub(crate) fn until(&mut self, stamp: &FrameStamp) -> Vec<ImuSample> {
         let until_s = stamp.stream_ns as f64 * 1e-9 + self.latency_s + BEYOND_S;
         let zero_ns = stamp.exposure_ns - stamp.stream_ns;
@@ -91,7 +90,7 @@ impl RecordedSensor {
 }
 
 impl InertialPort {
-    /// Opens the recording's sensor where one is configured.
+    /// Opens the recording's sensor, if one is configured.
     pub(crate) fn open(
         pipeline: &Pipeline,
         generation: u32,
@@ -107,8 +106,8 @@ impl InertialPort {
         Ok(Some(Self { sensor, imus: ports.publisher()?, generation }))
     }
 
-    /// Sends what has been measured when a frame is there: before the frame, so that egomotion has
-    /// it first.
+    /// Sends the samples up to a frame's arrival. Call it before the frame is sent, so that
+    /// egomotion has them first.
     pub(crate) fn send_before(
         &mut self,
         picture: &SourcePicture,

@@ -1,4 +1,4 @@
-//! The front part of the pipeline: from a source to coded or raw video.
+//! Front part of the pipeline: from a source to coded or raw video.
 
 use std::path::PathBuf;
 
@@ -8,27 +8,27 @@ use gstreamer::prelude::*;
 
 use crate::CaptureError;
 
-/// What one pipeline plays.
+/// Input of one pipeline.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) enum Input {
     File(PathBuf),
-    /// Coded pictures of a recording of a flight, which are fed in; [`VideoCodec::None`]: JPEGs.
+    /// Coded pictures of a recorded flight, through an `appsrc`; [`VideoCodec::None`]: JPEGs.
     Flight(PathBuf, VideoCodec),
     V4l2(PathBuf),
     Theta,
     Description(String),
 }
 
-/// The name of the element into which the pictures of a flight are fed.
+/// Name of the `appsrc` for the pictures of a flight.
 pub(crate) const FEED: &str = "flockeye-feed";
-/// Coded pictures that wait there, bytes.
+/// Limit for the size of its queue, bytes.
 const FEED_BYTES: u64 = 8_000_000;
 
-/// The name of the element that decodes whatever a description gives.
+/// Name of the decoder at the end of a description.
 const DECODER: &str = "flockeye-decoder";
 
 impl Input {
-    /// How messages call it.
+    /// Name of the input in messages.
     pub(crate) fn name(&self) -> String {
         match self {
             Self::File(path) | Self::Flight(path, _) => path.display().to_string(),
@@ -38,8 +38,8 @@ impl Input {
         }
     }
 
-    /// Whether it is a camera by its name. Whether a description is one is known once it runs,
-    /// except for the Theta's driver, which does not announce a live source.
+    /// Whether the input is a camera by its kind. For a description this is known only when it
+    /// runs. Exception: the Theta's driver, which does not announce a live source.
     pub(crate) fn is_camera(&self) -> bool {
         match self {
             Self::V4l2(_) | Self::Theta => true,
@@ -48,7 +48,7 @@ impl Input {
         }
     }
 
-    /// A pipeline from the source to a decoder, and that decoder, whose pads are still to come.
+    /// A pipeline from the source to a decoder, and the decoder, which has no pads yet.
     pub(crate) fn pipeline(
         &self,
         size: (u32, u32),
@@ -73,7 +73,7 @@ impl Input {
                 feed.set_property("name", FEED);
                 feed.set_property("caps", caps);
                 feed.set_property("format", gst::Format::Time);
-                // The feeding thread waits for room.
+                // The feeding thread blocks until there is room.
                 feed.set_property("block", true);
                 feed.set_property("max-bytes", FEED_BYTES);
                 chain(&[feed])
@@ -86,7 +86,7 @@ impl Input {
                 chain(&[source, modes])
             }
             Self::Theta => {
-                // The camera has two modes, 3840x1920 and 1920x960.
+                // Modes of the camera: 3840x1920 and 1920x960.
                 let mode = if size.0 == 1920 { "2K" } else { "4K" };
                 described(&format!("thetauvcsrc mode={mode} ! queue ! h264parse"))
             }
@@ -95,12 +95,12 @@ impl Input {
     }
 }
 
-/// Pictures of H.264 or H.265, each whole.
+/// Caps for H.264 or H.265 with one picture per buffer.
 fn byte_stream(name: &str) -> gst::Caps {
     gst::Caps::builder(name).field("stream-format", "byte-stream").field("alignment", "au").build()
 }
 
-/// The modes to ask a camera for, the cheapest to use first.
+/// Caps for the modes of a camera, in the order of processing cost.
 fn camera_modes((width, height): (u32, u32)) -> Result<gst::Caps, CaptureError> {
     let size = format!("width=(int){width},height=(int){height}");
     format!(
@@ -147,7 +147,7 @@ pub(crate) fn element(name: &str) -> Result<gst::Element, CaptureError> {
     gst::ElementFactory::make(name).build().map_err(missing)
 }
 
-/// What to install for an element.
+/// Cure for a missing element: what to install.
 fn cure_for(element: &str) -> String {
     let package = match element {
         "thetauvcsrc" => {

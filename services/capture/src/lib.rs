@@ -1,8 +1,8 @@
-//! Where frames come from: a camera, a video file, a folder of images or a recording of a flight,
-//! read through GStreamer.
+//! Sources of frames: a camera, a video file, a folder of images or a recorded flight, read through
+//! GStreamer.
 //!
-//! A [`FrameSource`] hands out luma planes, straight from the decoder's own memory. Markers need no
-//! colour, so nothing is converted that has a luma plane of its own:
+//! A [`FrameSource`] hands out luma planes directly from the decoder's memory. Markers need no
+//! colour, so formats with a luma plane are not converted:
 //!
 //! ```no_run
 //! use std::time::Duration;
@@ -27,9 +27,9 @@
 //! # }
 //! ```
 //!
-//! What runs where: GStreamer decodes in threads of its own and puts each frame into a mailbox;
-//! [`FrameSource::next`] takes from it. In [`Flow::Latest`](flockeye_config::Flow) the newest frame
-//! replaces the one that nobody took; in `Flow::Lossless` the decoder waits until there is room.
+//! Threads: GStreamer decodes in its own threads and puts each frame into a mailbox;
+//! [`FrameSource::next`] takes from it. In [`Flow::Latest`](flockeye_config::Flow) a new frame
+//! replaces a waiting one; in `Flow::Lossless` the decoder waits until there is room.
 
 #![warn(unreachable_pub)]
 
@@ -68,7 +68,7 @@ pub use picture::SourcePicture;
 pub use source::FrameSource;
 pub use spec::SourceSpec;
 
-/// The capture stage's process. It is here so that it is compiled once, with the library.
+/// The capture stage's process. It is part of the library, so that it is compiled once.
 pub fn main() -> std::process::ExitCode {
     flockeye_runtime::stage::main::<stage::CaptureStage>()
 }

@@ -1,4 +1,4 @@
-//! Where the decoder's thread leaves frames and the consumer takes them.
+//! Mailbox from the decoder's thread to the consumer.
 
 use std::collections::VecDeque;
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
@@ -7,23 +7,23 @@ use std::time::{Duration, Instant};
 use flockeye_config::Flow;
 use flockeye_runtime::lock::lock;
 
-/// What the consumer finds.
+/// Result of [`Mailbox::take`].
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) enum MailboxContent<T, F> {
     Item(T),
-    /// There will be no more.
+    /// End of the stream.
     Ended,
-    /// Something went wrong, and all that came before it has been taken.
+    /// Failure, after all items before it were taken.
     Failed(F),
-    /// Nothing within the time given.
+    /// No item before the timeout.
     TimedOut,
 }
 
-/// An error overtakes the frames that were decoded before it: the stream's end, which comes behind
-/// them, is waited for, but no longer than this.
+/// Timeout for the end of the stream after an error. Errors arrive before the frames that were
+/// decoded earlier; the end arrives after them.
 const GRACE: Duration = Duration::from_secs(1);
 
-/// Frames `T` and at most one failure `F`, from the decoder's threads to the consumer's.
+/// Items `T` and at most one failure `F`, from the decoder's threads to the consumer's.
 #[derive(Debug)]
 pub(crate) struct Mailbox<T, F> {
     room: usize,
@@ -42,8 +42,8 @@ struct MailboxState<T, F> {
 }
 
 impl<T, F: Clone> Mailbox<T, F> {
-    /// A mailbox for `room` frames (at least one). Where it is full, the newest frame replaces the
-    /// oldest, or in lossless flow the decoder waits until there is room.
+    /// A mailbox for `room` items (at least one). If it is full, a new item replaces the oldest
+    /// one; in lossless flow the decoder waits.
     pub(crate) fn new(room: usize, flow: Flow) -> Self {
         let state = MailboxState {
             queue: VecDeque::new(),
@@ -55,7 +55,7 @@ impl<T, F: Clone> Mailbox<T, F> {
         Self { room: room.max(1), flow, state: Mutex::new(state), changed: Condvar::new() }
     }
 
-    /// Leaves a frame. False where the mailbox is closed: nobody will take it.
+    /// Adds an item. Returns false if the mailbox is closed.
     pub(crate) fn put(&self, item: T) -> bool {
         let mut state = self.lock();
         while state.queue.len() >= self.room && !state.closed {
@@ -74,25 +74,25 @@ impl<T, F: Clone> Mailbox<T, F> {
         true
     }
 
-    /// The first frame is decoded and waits behind the sink.
+    /// Notes that the first frame is decoded and waits at the sink.
     pub(crate) fn set_ready(&self) {
         self.lock().ready = true;
         self.changed.notify_all();
     }
 
-    /// There will be no more frames.
+    /// Notes the end of the stream.
     pub(crate) fn end(&self) {
         self.lock().ended = true;
         self.changed.notify_all();
     }
 
-    /// Something went wrong. The first failure is the cause, later ones are its echo.
+    /// Notes a failure. Only the first one is kept: later ones follow from it.
     pub(crate) fn fail(&self, failure: F) {
         self.lock().failure.get_or_insert_with(|| (failure, Instant::now()));
         self.changed.notify_all();
     }
 
-    /// Lets go of everybody who waits to leave a frame, for good.
+    /// Closes the mailbox, and wakes all threads that wait in [`Self::put`].
     pub(crate) fn close(&self) {
         let mut state = self.lock();
         state.closed = true;
@@ -100,7 +100,7 @@ impl<T, F: Clone> Mailbox<T, F> {
         self.changed.notify_all();
     }
 
-    /// Takes a frame, waiting for at most `timeout`.
+    /// Takes an item. Waits for at most `timeout`.
     pub(crate) fn take(&self, timeout: Duration) -> MailboxContent<T, F> {
         let deadline = Instant::now() + timeout;
         let mut state = self.lock();
@@ -127,8 +127,7 @@ impl<T, F: Clone> Mailbox<T, F> {
         }
     }
 
-    /// Waits until the first frame is decoded: `Ok(true)`, or `Ok(false)` when that takes longer
-    /// than `timeout`, or what went wrong.
+    /// Waits until the first frame is decoded. Returns false after `timeout`, or the failure.
     pub(crate) fn wait_ready(&self, timeout: Duration) -> Result<bool, F> {
         let deadline = Instant::now() + timeout;
         let mut state = self.lock();
@@ -147,7 +146,7 @@ impl<T, F: Clone> Mailbox<T, F> {
     }
 
     fn lock(&self) -> MutexGuard<'_, MailboxState<T, F>> {
-        // No code that can panic runs under this lock, so what it guards is whole.
+        // No code that can panic runs under this lock, so the state is consistent.
         lock(&self.state)
     }
 

@@ -1,4 +1,4 @@
-//! Publishes the coded pictures of the source while somebody reads them.
+//! Publisher of the source's coded pictures, while it has subscribers.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -12,12 +12,12 @@ use flockeye_runtime::ports::{Ports, Publisher};
 use crate::FrameSource;
 use crate::packet_tap::Packet;
 
-/// The port, and who reads there.
+/// The port, and the state of its subscribers.
 pub(crate) struct PacketPort {
     port: Publisher<Packets>,
-    /// Whether somebody wants packets: the source looks here.
+    /// Flag for the source: whether packets are requested.
     are_wanted: Arc<AtomicBool>,
-    /// Readers that were informed last that there are no packets.
+    /// Number of subscribers at the last message that no packets exist.
     informed: usize,
     flow: Flow,
     latency_ns: i64,
@@ -26,7 +26,7 @@ pub(crate) struct PacketPort {
 }
 
 impl PacketPort {
-    /// Opens the port. The source knows by `are_wanted` whether somebody reads.
+    /// Opens the port. `are_wanted` is the flag for the source.
     pub(crate) fn open(
         pipeline: &Pipeline,
         generation: u32,

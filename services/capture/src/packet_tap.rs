@@ -1,4 +1,4 @@
-//! The coded pictures of a source, taken before the decoder while somebody wants them.
+//! Coded pictures of a source, taken before the decoder while packets have a subscriber.
 
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -15,131 +15,130 @@ use crate::byte_stream::ByteStream;
 use crate::decoder;
 use flockeye_runtime::clock::monotonic_ns;
 
-/// Limit for the bytes of packets that nobody has taken: beyond it the oldest are dropped.
+/// Limit for the size of waiting packets, bytes: beyond it the oldest are dropped.
 const MOST_BYTES: usize = 64_000_000;
 
 /// A coded picture.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Packet {
-    /// When it is shown, from the stream's first frame, nanoseconds.
+    /// Presentation time since the stream's first frame, nanoseconds.
     pub stream_ns: i64,
-    /// When its data came in, CLOCK_MONOTONIC, nanoseconds.
+    /// Arrival of its data, CLOCK_MONOTONIC, nanoseconds.
     pub arrived_ns: i64,
-    /// Its number among the stream's packets, in the order in which they are decoded.
+    /// Sequence number among the stream's packets, in decoding order.
     pub sequence: u64,
-    /// How it is coded.
+    /// Codec.
     pub codec: VideoCodec,
-    /// Whether decoding can begin with it.
+    /// Whether it is a key frame, with which decoding can begin.
     pub is_key: bool,
-    /// Annex B's byte stream, with the parameter sets before a key frame.
+    /// Byte stream of Annex B, with the parameter sets before a key frame.
     pub bytes: Vec<u8>,
 }
 
-/// Takes the packets of one pipeline.
-#[derive(Debug)]
-pub(crate) struct PacketTap {
-    /// Whether somebody wants packets.
-    are_wanted: Arc<AtomicBool>,
-    state: Mutex<TapState>,
-}
-
+/// The packets of one pipeline, from GStreamer's thread to the consumer's.
 #[derive(Debug, Default)]
-struct TapState {
-    /// What the decoder takes, and how to make packets of it; `None` if that cannot be done.
+pub(crate) struct PacketTap {
+    /// Whether packets have a subscriber.
+    are_wanted: Arc<AtomicBool>,
+    /// The decoder's input format, with codec and converter. `None`: no packets can be made from
+    /// this format.
     stream: Option<(gst::Caps, Option<(VideoCodec, ByteStream)>)>,
-    /// Place of the first decoded frame in the stream, nanoseconds.
+    /// Stream time of the first decoded frame, nanoseconds.
     origin_ns: Option<i64>,
     next_sequence: u64,
-    /// Their times are the stream's own.
+    /// Packets that were not taken yet, with the stream's own times.
     waiting: VecDeque<Packet>,
     waiting_bytes: usize,
 }
 
 impl PacketTap {
-    pub(crate) fn new(are_wanted: Arc<AtomicBool>) -> Arc<Self> {
-        Arc::new(Self { are_wanted, state: Mutex::default() })
+    pub(crate) fn new(are_wanted: Arc<AtomicBool>) -> Arc<Mutex<Self>> {
+        Arc::new(Mutex::new(Self { are_wanted, ..Self::default() }))
     }
 
-    /// Takes what goes into an element, if that is a decoder.
-    pub(crate) fn attach(self: &Arc<Self>, element: &gst::Element, arrivals: &Arc<Arrivals>) {
+    /// Takes the buffers that enter an element, if it is a decoder.
+    pub(crate) fn attach(tap: &Arc<Mutex<Self>>, element: &gst::Element, arrivals: &Arc<Arrivals>) {
         let (true, Some(pad)) = (decoder::is_decoder(element), element.static_pad("sink")) else {
             return;
         };
-        let (tap, arrivals) = (Arc::clone(self), Arc::clone(arrivals));
+        let (tap, arrivals) = (Arc::clone(tap), Arc::clone(arrivals));
         pad.add_probe(gst::PadProbeType::BUFFER, move |pad, info| {
             if let (Some(buffer), Some(caps)) = (info.buffer(), pad.current_caps()) {
-                tap.enter(pad, caps, buffer, &arrivals);
+                lock(&tap).enter(pad, caps, buffer, &arrivals);
             }
             gst::PadProbeReturn::Ok
         });
     }
 
-    fn enter(&self, pad: &gst::Pad, caps: gst::Caps, buffer: &gst::BufferRef, arrivals: &Arrivals) {
-        let mut state = lock(&self.state);
-        if state.stream.as_ref().is_none_or(|(known, _)| *known != caps) {
+    fn enter(
+        &mut self,
+        pad: &gst::Pad,
+        caps: gst::Caps,
+        buffer: &gst::BufferRef,
+        arrivals: &Arrivals,
+    ) {
+        if self.stream.as_ref().is_none_or(|(known, _)| *known != caps) {
             let codec = codec_of(&caps);
-            let is_other = state.stream.as_ref().is_some_and(|(_, known)| known.is_some());
+            let is_other = self.stream.as_ref().is_some_and(|(_, known)| known.is_some());
             if codec.is_none() && is_other {
-                // A second decoder, behind the first.
+                // A second decoder, after the first: ignored.
                 return;
             }
             let stream = codec.and_then(|codec| {
                 let data = codec_data(&caps);
                 ByteStream::new(codec, data.as_deref()).ok().map(|stream| (codec, stream))
             });
-            state.stream = Some((caps, stream));
+            self.stream = Some((caps, stream));
         }
-        let TapState { stream: Some((_, Some((codec, stream)))), .. } = &mut *state else { return };
+        let Some((_, Some((codec, stream)))) = &mut self.stream else { return };
         let codec = *codec;
         let is_key = !buffer.flags().contains(gst::BufferFlags::DELTA_UNIT);
         let made = self.are_wanted.load(Ordering::Relaxed).then(|| {
             let map = buffer.map_readable().ok()?;
             stream.packet(map.as_slice(), is_key).ok()
         });
-        let sequence = state.next_sequence;
-        state.next_sequence += 1;
+        let sequence = self.next_sequence;
+        self.next_sequence += 1;
         let place = buffer.pts().and_then(|pts| Some((pts, stream_ns(pad, pts)?)));
-        // A packet that cannot be used is missing: its number is left out.
+        // An unusable packet is dropped, so its number is missing.
         let (Some(Some(bytes)), Some((pts, stream_ns))) = (made, place) else { return };
         let arrived_ns = arrivals.find(pts).unwrap_or_else(monotonic_ns);
-        state.waiting_bytes += bytes.len();
-        state.waiting.push_back(Packet { stream_ns, arrived_ns, sequence, codec, is_key, bytes });
-        while state.waiting_bytes > MOST_BYTES {
-            let Some(oldest) = state.waiting.pop_front() else { break };
-            state.waiting_bytes -= oldest.bytes.len();
+        self.waiting_bytes += bytes.len();
+        self.waiting.push_back(Packet { stream_ns, arrived_ns, sequence, codec, is_key, bytes });
+        while self.waiting_bytes > MOST_BYTES {
+            let Some(oldest) = self.waiting.pop_front() else { break };
+            self.waiting_bytes -= oldest.bytes.len();
         }
     }
 
-    /// The first frame is decoded: it is there in the stream.
-    pub(crate) fn begin(&self, origin: Duration) {
+    /// Notes that the first frame was decoded, and its stream time.
+    pub(crate) fn begin(&mut self, origin: Duration) {
         let origin_ns = i64::try_from(origin.as_nanos()).unwrap_or(i64::MAX);
-        lock(&self.state).origin_ns.get_or_insert(origin_ns);
+        self.origin_ns.get_or_insert(origin_ns);
     }
 
-    /// The packets that have come since the last time. There are none before the first frame is
-    /// decoded, from which their times count.
-    pub(crate) fn take(&self) -> Vec<Packet> {
-        let mut state = lock(&self.state);
-        let Some(origin_ns) = state.origin_ns else { return Vec::new() };
-        state.waiting_bytes = 0;
+    /// Takes the packets since the last call. Returns none before the first frame is decoded,
+    /// because their times start there.
+    pub(crate) fn take(&mut self) -> Vec<Packet> {
+        let Some(origin_ns) = self.origin_ns else { return Vec::new() };
+        self.waiting_bytes = 0;
         let from_origin = |packet: Packet| Packet {
             stream_ns: packet.stream_ns.saturating_sub(origin_ns),
             ..packet
         };
-        std::mem::take(&mut state.waiting).into_iter().map(from_origin).collect()
+        std::mem::take(&mut self.waiting).into_iter().map(from_origin).collect()
     }
 
-    /// How its pictures are coded; `None` while that is not known.
+    /// Codec of the pictures; `None` while it is unknown.
     pub(crate) fn codec(&self) -> Option<VideoCodec> {
-        let state = lock(&self.state);
-        match &state.stream {
+        match &self.stream {
             Some((_, Some((codec, _)))) => Some(*codec),
-            _ => state.origin_ns.map(|_| VideoCodec::None),
+            _ => self.origin_ns.map(|_| VideoCodec::None),
         }
     }
 }
 
-/// Which codec it is, where each buffer is one picture.
+/// Codec of a format whose buffers have one picture each; `None` for other formats.
 fn codec_of(caps: &gst::Caps) -> Option<VideoCodec> {
     let structure = caps.structure(0)?;
     let codec = match structure.name().as_str() {
@@ -150,7 +149,7 @@ fn codec_of(caps: &gst::Caps) -> Option<VideoCodec> {
     (structure.get::<&str>("alignment") == Ok("au")).then_some(codec)
 }
 
-/// How units are told apart, as the stream describes it; `None` for a byte stream.
+/// The stream's `codec_data`, which describes its units; `None` for a byte stream.
 fn codec_data(caps: &gst::Caps) -> Option<Vec<u8>> {
     let structure = caps.structure(0)?;
     if structure.get::<&str>("stream-format") == Ok("byte-stream") {
@@ -160,7 +159,7 @@ fn codec_data(caps: &gst::Caps) -> Option<Vec<u8>> {
     Some(buffer.map_readable().ok()?.as_slice().to_vec())
 }
 
-/// A time stamp's place in the stream, as that of frames, nanoseconds.
+/// Stream time of a time stamp, nanoseconds.
 fn stream_ns(pad: &gst::Pad, pts: gst::ClockTime) -> Option<i64> {
     let event = pad.sticky_event::<gst::event::Segment>(0)?;
     let segment = event.segment().downcast_ref::<gst::ClockTime>()?;

@@ -1,4 +1,4 @@
-//! What a user chooses about a source besides which it is.
+//! Settings of a source.
 
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
@@ -6,35 +6,35 @@ use std::time::Duration;
 
 use flockeye_config::{AtEnd, Flow, InertialSource, Pipeline};
 
-/// What a user chooses about a source besides which it is.
+/// Settings of a source.
 #[derive(Debug, Clone)]
 pub struct SourceParameters {
     /// Pixels in a row that frames must have.
     pub width: u32,
     /// Rows that frames must have.
     pub height: u32,
-    /// What sets the pace. [`Flow::Latest`]: the stream's own time stamps. A frame that nobody
-    /// takes is replaced by the next one, and a recording that decodes too slowly plays slower.
-    /// [`Flow::Lossless`]: the consumer, who gets every frame in order.
+    /// Flow control. [`Flow::Latest`]: real time, by the stream's time stamps. A waiting frame is
+    /// replaced by a newer one, and a recording that decodes too slowly plays slower.
+    /// [`Flow::Lossless`]: the consumer gets every frame in order.
     pub flow: Flow,
     /// Whether a recording starts again at its end.
     pub looping: bool,
-    /// From exposure to arrival; subtracted from the arrival of a camera's frames.
+    /// Latency from exposure to arrival; subtracted from the arrival of a camera's frames.
     pub latency: Duration,
-    /// Silence after which a camera counts as lost.
+    /// Timeout without a frame after which a camera counts as lost.
     pub stall: Duration,
-    /// How long to wait before a lost camera is opened again, the first time.
+    /// First wait before a lost camera is opened again.
     pub reopen_min: Duration,
-    /// The longest wait before a lost camera is opened again.
+    /// Maximum wait before a lost camera is opened again.
     pub reopen_max: Duration,
-    /// How many images of a folder make a second.
+    /// Images of a folder per second.
     pub images_per_second: f64,
-    /// Whether the inertial samples of a recording of a flight are wanted.
+    /// Whether the inertial samples of a recorded flight are read.
     pub samples: bool,
-    /// Whether somebody wants the coded pictures.
+    /// Whether coded pictures are requested.
     pub packets: Arc<AtomicBool>,
-    /// Threads of the software decoder; 0 leaves it to the decoder. More than 1: as many frames of
-    /// a camera at a time.
+    /// Threads of the software decoder; 0: chosen by the decoder. More than 1: frame threads for a
+    /// camera.
     pub decoder_threads: u32,
 }
 
@@ -57,7 +57,7 @@ impl SourceParameters {
         }
     }
 
-    /// What a configuration chooses.
+    /// The settings in a configuration.
     pub fn of(pipeline: &Pipeline) -> Self {
         let seconds = |s: f64| Duration::try_from_secs_f64(s).unwrap_or(Duration::from_secs(1));
         Self {

@@ -11,7 +11,7 @@ use gstreamer_video::{VideoColorRange, VideoFormat};
 
 use crate::core::PictureFacts;
 
-/// The raw formats whose first plane is 8-bit luma with nothing in between.
+/// Raw formats whose first plane is contiguous 8-bit luma.
 pub(crate) const LUMA_FIRST: &[VideoFormat] = &[
     VideoFormat::Gray8,
     VideoFormat::I420,
@@ -29,10 +29,9 @@ pub(crate) const LUMA_FIRST: &[VideoFormat] = &[
     VideoFormat::A420,
 ];
 
-/// A frame's luma plane, read in place: the decoder gets its buffer back when this is dropped, so
-/// drop it soon.
+/// A frame's luma plane, read in place. The decoder's buffer is released on drop, so drop it soon.
 pub struct SourcePicture {
-    // Boxed: GStreamer's structure is large, and events are handed round by value.
+    // Boxed: GStreamer's structure is large, and events are moved by value.
     frame: Box<gst_video::VideoFrame<gst_video::video_frame::Readable>>,
     stride: usize,
     bytes: usize,
@@ -40,30 +39,25 @@ pub struct SourcePicture {
     pub(crate) recorded: Option<Box<FlightFrame>>,
 }
 
-/// Which process of the source, and which of its epochs: generation and epoch.
+/// Generation of the source's process, and its epoch.
 pub(crate) type Epoch = (u32, u32);
 
-/// A sample, and which process of the sensor in which epoch it is of.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct TapeSample {
-    pub(crate) epoch: Epoch,
-    pub(crate) sample: ImuSample,
-}
+/// A sample of a recorded flight, with the epoch of its sensor.
+pub(crate) type TapeSample = (Epoch, ImuSample);
 
-/// What a recording of a flight has of a picture.
+/// Data of a recorded flight for a picture.
 #[derive(Debug)]
 pub(crate) struct FlightFrame {
-    /// Its frame, with its stream time in the time of the recording.
+    /// Header of the frame; its stream time refers to the whole recording.
     pub(crate) header: FrameHeader,
-    /// The samples of the inertial sensor that had come when it was there, and not with the one
-    /// before.
+    /// Inertial samples up to this picture, after those of the picture before.
     pub(crate) samples: Vec<TapeSample>,
-    /// Its number among the pictures that were there to be handed out.
+    /// Sequence number among the available pictures.
     pub(crate) sequence: u64,
     pub(crate) exposure_ns: i64,
 }
 
-/// Which frame it is, and when its light was caught.
+/// Number and times of a picture.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct PictureStamp {
     pub(crate) sequence: u64,
@@ -73,7 +67,7 @@ pub(crate) struct PictureStamp {
 }
 
 impl SourcePicture {
-    /// Maps a decoded buffer. The error names what is wrong with it.
+    /// Maps a decoded buffer. The error is the reason of the failure.
     pub(crate) fn map(
         buffer: gst::Buffer,
         info: &gst_video::VideoInfo,
@@ -98,7 +92,7 @@ impl SourcePicture {
     }
 
     /// The luma plane: [`Self::height`] rows of [`Self::width`] bytes, [`Self::stride`] bytes
-    /// apart. It ends with the last row's last pixel.
+    /// apart. It ends with the last pixel of the last row.
     pub fn luma(&self) -> &[u8] {
         self.frame.plane_data(0).map_or(&[], |plane| &plane[..self.bytes])
     }
@@ -152,32 +146,32 @@ impl SourcePicture {
         self.stride
     }
 
-    /// Which code values stand for black and white, as the stream declares. Where it does not
-    /// declare that, GStreamer's defaults count: video is limited, gray images are full.
+    /// Range of code values as the stream declares it. Default of GStreamer: video is limited, gray
+    /// images are full.
     pub fn range(&self) -> Range {
         let recorded = self.recorded.as_ref().map(|recorded| recorded.header.range);
         let recorded = recorded.and_then(|code| Range::try_from(code).ok());
         recorded.unwrap_or_else(|| range_of(self.frame.info()))
     }
 
-    /// The name of the raw format the decoder gave, such as `I420`.
+    /// Name of the decoder's raw format, such as `I420`.
     pub fn format(&self) -> &str {
         self.frame.info().name()
     }
 
-    /// Frames of the source, from 0 in each round (see [`crate::Event::Looped`] and
-    /// [`crate::Event::Lost`]). It jumps where frames were left out.
+    /// Sequence number, from 0 in each round (see [`crate::Event::Looped`] and
+    /// [`crate::Event::Lost`]). Dropped frames leave gaps.
     pub fn sequence(&self) -> u64 {
         self.stamp.sequence
     }
 
-    /// Time in the stream from its first frame.
+    /// Stream time since the first frame.
     pub fn stream_time(&self) -> Duration {
         self.stamp.stream_time
     }
 
-    /// When the light was caught, nanoseconds: on CLOCK_MONOTONIC for a camera (its arrival less
-    /// the latency) and for a recording in real time; the stream's own time in lossless flow.
+    /// Exposure time, nanoseconds. On CLOCK_MONOTONIC for a camera (arrival minus latency) and for
+    /// a recording in real time; stream time in lossless flow.
     pub fn exposure_monotonic_ns(&self) -> i64 {
         self.stamp.exposure_ns
     }

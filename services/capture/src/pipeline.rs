@@ -1,4 +1,4 @@
-//! The back part of the pipeline: from the decoder to the mailbox.
+//! Rear part of the pipeline: from the decoder to the mailbox.
 
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
@@ -27,43 +27,43 @@ pub(crate) struct DecodedFrame {
     pub(crate) sample: gst::Sample,
     pub(crate) sequence: u64,
     pub(crate) pts: Option<gst::ClockTime>,
-    /// From the stream's first frame.
+    /// Stream time since the first frame.
     pub(crate) stream_time: Duration,
-    /// Where the frame ends in the stream's own time.
+    /// End of the frame in the stream's own time.
     pub(crate) stream_end: Duration,
-    /// When it is due by the stream's time stamps, CLOCK_MONOTONIC, nanoseconds.
+    /// Due time by the stream's time stamps, CLOCK_MONOTONIC, nanoseconds.
     pub(crate) due_ns: Option<i64>,
-    /// When the camera's data came in, CLOCK_MONOTONIC, nanoseconds.
+    /// Arrival of the camera's data, CLOCK_MONOTONIC, nanoseconds.
     pub(crate) arrival_ns: i64,
 }
 
 /// The mailbox between GStreamer's threads and the consumer.
 pub(crate) type Frames = Mailbox<DecodedFrame, Failure>;
 
-/// Builds the pipeline for an input; nothing runs yet. Up to `ahead` decoded frames wait for the
-/// sink to take them; with 0 the decoder waits itself.
+/// Builds the pipeline for an input without starting it. Up to `ahead` decoded frames wait before
+/// the sink; with 0 the decoder waits.
 pub(crate) fn build(
     input: &Input,
     size: (u32, u32),
     threading: Threading,
     ahead: u32,
-    packets: &Arc<PacketTap>,
+    packets: &Arc<Mutex<PacketTap>>,
     frames: &Arc<Frames>,
 ) -> Result<(gst::Pipeline, gst_app::AppSink, Arc<DecoderWatch>), CaptureError> {
     let (pipeline, decodebin) = input.pipeline(size)?;
-    // The system clock is CLOCK_MONOTONIC, so that the pipeline's times are the machine's.
+    // The system clock is CLOCK_MONOTONIC, so the pipeline uses the machine's time.
     pipeline.use_clock(Some(&gst::SystemClock::obtain()));
     decodebin.set_property("caps", gst::Caps::builder("video/x-raw").any_features().build());
     decodebin.set_property("expose-all-streams", false);
     let arrivals = Arrivals::of(&pipeline);
     let decoders = DecoderWatch::new(Arc::clone(&arrivals));
-    // A recorded flight has its packets already.
+    // Packets of a recorded flight are not published again.
     let is_tapped = !matches!(input, Input::Flight(..));
-    // A description may name a decoder of its own. It stays as it was written.
+    // A description may contain a decoder, whose settings are not changed.
     for element in decoder::elements(&pipeline) {
         decoders.attach(&element);
         if is_tapped {
-            packets.attach(&element, &arrivals);
+            PacketTap::attach(packets, &element, &arrivals);
         }
     }
     let watching = Arc::clone(&decoders);
@@ -72,7 +72,7 @@ pub(crate) fn build(
         decoder::configure(element, threading);
         watching.attach(element);
         if is_tapped {
-            tapping.attach(element, &arrived);
+            PacketTap::attach(&tapping, element, &arrived);
         }
     });
 
@@ -94,12 +94,12 @@ pub(crate) fn build(
     Ok((pipeline, sink, decoders))
 }
 
-/// Frames that are farther apart wait one at a time: an error, which overtakes them, must not cost
-/// any.
+/// Limit for the duration of waiting frames. At a low rate only one frame waits, because an error
+/// can overtake waiting frames.
 const AHEAD_AT_MOST: gst::ClockTime = gst::ClockTime::from_mseconds(200);
 
-/// Where decoded frames wait until the sink takes them, each when it is due: a decoder that needs
-/// longer for some frames (those that rest on no other) than for most is then late for none.
+/// Queue of decoded frames before the sink, which takes each when it is due. It compensates varying
+/// decoding times, such as longer ones for key frames.
 fn waiting_room(
     pipeline: &gst::Pipeline,
     sink: &gst_app::AppSink,
@@ -116,8 +116,12 @@ fn waiting_room(
     Ok(queue)
 }
 
-/// The sink that fills the mailbox. It takes whatever has a luma plane, in system memory.
-fn sink(frames: Arc<Frames>, arrivals: Arc<Arrivals>, packets: Arc<PacketTap>) -> gst_app::AppSink {
+/// The sink that fills the mailbox. It accepts all formats with a luma plane in system memory.
+fn sink(
+    frames: Arc<Frames>,
+    arrivals: Arc<Arrivals>,
+    packets: Arc<Mutex<PacketTap>>,
+) -> gst_app::AppSink {
     let mut census = Census::default();
     let caps = gst_video::VideoCapsBuilder::new().format_list(LUMA_FIRST.iter().copied()).build();
     let ended = Arc::clone(&frames);
@@ -127,7 +131,7 @@ fn sink(frames: Arc<Frames>, arrivals: Arc<Arrivals>, packets: Arc<PacketTap>) -
             let sample = sink.pull_sample().map_err(|_| gst::FlowError::Eos)?;
             let decoded = stamped(sink, sample, &mut census, &arrivals, arrival_ns);
             if decoded.sequence == 0 {
-                packets.begin(census.first);
+                lock(&packets).begin(census.first);
             }
             match frames.put(decoded) {
                 true => Ok(gst::FlowSuccess::Ok),
@@ -143,7 +147,7 @@ fn sink(frames: Arc<Frames>, arrivals: Arc<Arrivals>, packets: Arc<PacketTap>) -
         .max_buffers(1)
         .callbacks(callbacks)
         .build();
-    // A decoder that does not know that rows may be padded copies each frame into packed rows.
+    // Announce that rows may be padded: otherwise some decoders copy each frame into packed rows.
     if let Some(pad) = sink.static_pad("sink") {
         pad.add_probe(gst::PadProbeType::QUERY_DOWNSTREAM, |_, info| {
             match info.query_mut().map(gst::QueryRef::view_mut) {
@@ -191,15 +195,14 @@ fn stamped(
     }
 }
 
-/// A paced recording that is late by more than this slips.
+/// Maximum lateness of a paced recording, nanoseconds; beyond it the recording slips.
 const SLIP_NS: i64 = 200_000_000;
 
-/// When a frame of a paced recording is due, after all the slips so far.
+/// Due time of a frame of a paced recording, with all slips so far.
 ///
-/// A machine that cannot decode a recording as fast as it was taken would fall behind without end.
-/// The recording slips instead: it plays slower, and a frame's age is that of a frame just seen.
-/// (GStreamer's own way, telling the decoder to leave frames out, leaves out nearly all of them
-/// where each rests on the one before.)
+/// If decoding is slower than real time, the lateness would grow without limit. The recording slips
+/// instead: it plays slower, and frames have their normal age. GStreamer's QoS, which drops frames
+/// in the decoder, would drop nearly all frames that refer to others.
 fn slipped(sink: &gst_app::AppSink, due_ns: i64, now_ns: i64) -> i64 {
     if !sink.is_sync() {
         return due_ns;
@@ -213,8 +216,8 @@ fn slipped(sink: &gst_app::AppSink, due_ns: i64, now_ns: i64) -> i64 {
     now_ns
 }
 
-/// Joins a decoded stream to the pipeline's end, through a conversion to gray only where the stream
-/// has no luma plane. Further video streams of a file are left alone.
+/// Links a decoded stream to the pipeline's end, with a conversion to gray if it has no luma plane.
+/// Further video streams of a file are ignored.
 fn join(pad: &gst::Pad, pipeline: &gst::Pipeline, end: &gst::Element) -> Result<(), String> {
     let Some(start) = end.static_pad("sink").filter(|pad| !pad.is_linked()) else {
         return Ok(());
@@ -245,7 +248,7 @@ fn join(pad: &gst::Pad, pipeline: &gst::Pipeline, end: &gst::Element) -> Result<
     Ok(())
 }
 
-/// Hands the messages of the pipeline's bus to the mailbox, in the thread that sends them.
+/// Forwards messages of the pipeline's bus to the mailbox, in the sending thread.
 fn watch(pipeline: &gst::Pipeline, frames: Arc<Frames>) {
     let Some(bus) = pipeline.bus() else { return };
     let undecodable = Mutex::new(None);

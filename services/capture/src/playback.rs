@@ -1,6 +1,6 @@
-//! A pipeline from its start to its end.
+//! Playback of a pipeline from start to end.
 
-use std::sync::Arc;
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use flockeye_config::Flow;
@@ -21,38 +21,38 @@ use crate::pipeline::{DecodedFrame, Frames, build};
 use crate::{CaptureError, decoder};
 use flockeye_runtime::clock::monotonic_ns;
 
-/// What comes out of a pipeline.
+/// Event of a pipeline.
 #[derive(Debug)]
 pub(crate) enum PlaybackEvent {
     Picture(SourcePicture),
     Idle,
-    /// Its frames come later than they could, for this reason.
+    /// Frames have an avoidable latency, for this reason.
     Late(String),
-    /// Its decoder does not keep up: frames wait this long before it, and `faster` would be faster.
+    /// The decoder is too slow: frames wait this long before it. `faster` is a faster threading.
     Behind {
         by: Duration,
         faster: Option<Threading>,
     },
-    /// The playback is over: because of a fault, or at its end.
+    /// End of the playback: at the stream's end, or because of a fault.
     Over {
         fault: Option<String>,
     },
 }
 
-/// How a frame's exposure is known.
+/// Source of a frame's exposure time.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Timing {
-    /// Nothing happens at its own pace: exposure is stream time.
+    /// Lossless flow: exposure is stream time.
     Stream,
-    /// The stream's time stamps, played on the machine's clock; see [`crate::pipeline`].
+    /// Stream time stamps on the machine's clock; see [`crate::pipeline`].
     Paced,
-    /// A camera whose stamps are not plausible: when its data came in.
+    /// Arrival of the data, for a camera with implausible time stamps.
     Arrival,
-    /// A camera whose driver stamps each frame on the machine's clock.
+    /// Time stamps of a camera's driver on the machine's clock.
     Driver,
 }
 
-/// A pipeline from its start to its end. Dropping it stops it.
+/// Playback of a pipeline from start to end. Dropping it stops it.
 #[derive(Debug)]
 pub(crate) struct Playback {
     input: Input,
@@ -60,11 +60,11 @@ pub(crate) struct Playback {
     sink: gst_app::AppSink,
     frames: Arc<Frames>,
     decoders: Arc<DecoderWatch>,
-    pub(crate) packets: Arc<PacketTap>,
+    pub(crate) packets: Arc<Mutex<PacketTap>>,
     threading: Threading,
-    /// Whether the number of threads was configured, and is not to be changed.
+    /// Whether the number of threads is configured, and must not be changed.
     is_threading_fixed: bool,
-    /// Frames that the decoder holds back.
+    /// Number of frames that the decoder holds back.
     held: usize,
     timing: Timing,
     expected: (u32, u32),
@@ -72,32 +72,32 @@ pub(crate) struct Playback {
     stall: Option<Duration>,
     playing: bool,
     heard: Instant,
-    /// Frames handed out so far.
+    /// Number of frames handed out.
     pub(crate) handed_out: u64,
     declared: Option<Duration>,
     reached: Duration,
 }
 
-/// Frames of a paced recording that are decoded before they are due, at most: 0.1 s at 30 frames/s,
-/// and 11 MB each at 3840x1920.
+/// Maximum number of frames decoded ahead for a paced recording: 0.1 s at 30 frames/s, 11 MB each
+/// at 3840x1920.
 const AHEAD: u32 = 4;
 
-/// A file that has not given its first frame by then never will.
+/// Timeout for the first frame of a recording.
 const OPENING: Duration = Duration::from_secs(10);
 
-/// A frame's stamp by a camera's driver is plausible from its arrival less this...
+/// Range of a plausible time stamp of a camera's driver: from arrival minus this, nanoseconds,
 const OLDEST_STAMP_NS: i64 = 1_000_000_000;
-/// ...to its arrival plus this.
+/// to arrival plus this, nanoseconds.
 const NEWEST_STAMP_NS: i64 = 5_000_000;
 
 impl Playback {
-    /// Opens a recording and decodes its first frame; what keeps it from being played is found
-    /// here. It plays from the first [`Self::next`] on.
+    /// Opens a recording and decodes its first frame, so that errors are found here. It is played
+    /// from the first [`Self::next`] on.
     pub(crate) fn recording(input: Input, params: &SourceParameters) -> Result<Self, CaptureError> {
         Self::fed(input, params, |_, _| Ok(()))
     }
 
-    /// Opens a recording into which pictures are fed: `begin` begins to feed.
+    /// Opens a recording whose pictures are fed in; `begin` starts the feeding.
     pub(crate) fn fed(
         input: Input,
         params: &SourceParameters,
@@ -132,8 +132,8 @@ impl Playback {
         Ok(playback)
     }
 
-    /// Starts a camera. One that does not start is reported by [`Self::next`]. `threading` is what
-    /// its decoder turned out to need; `None` at first.
+    /// Starts a camera. [`Self::next`] reports a failure of the start. `threading` is for its
+    /// decoder; `None`: as configured.
     pub(crate) fn camera(
         input: Input,
         params: &SourceParameters,
@@ -148,7 +148,7 @@ impl Playback {
             _ if params.flow == Flow::Lossless => Timing::Stream,
             Input::V4l2(_) => Timing::Driver,
             Input::Theta => Timing::Arrival,
-            // The Theta's driver does not announce a live source.
+            // Second case: the Theta's driver does not announce a live source.
             Input::Description(_) if live || playback.input.is_camera() => Timing::Arrival,
             Input::Description(_) | Input::File(_) | Input::Flight(..) => Timing::Paced,
         };
@@ -166,7 +166,7 @@ impl Playback {
         let room = if params.flow == Flow::Lossless { 2 } else { 1 };
         let frames = Arc::new(Frames::new(room, params.flow));
         let packets = PacketTap::new(Arc::clone(&params.packets));
-        // Only what is played from a file is there before it is due.
+        // Only files can be decoded ahead.
         let ahead = match (&input, timing) {
             (Input::File(_) | Input::Flight(..), Timing::Paced) => AHEAD,
             _ => 0,
@@ -216,7 +216,7 @@ impl Playback {
         }
     }
 
-    /// Waits for at most `timeout` for something to happen.
+    /// Waits for an event, for at most `timeout`.
     pub(crate) fn next(&mut self, timeout: Duration) -> Result<PlaybackEvent, CaptureError> {
         if !self.playing {
             self.play();
@@ -243,8 +243,7 @@ impl Playback {
         })
     }
 
-    /// Whether what the decoder holds back makes frames older: others are decoded ahead of their
-    /// time.
+    /// Whether frames held in the decoder increase latency: other inputs are decoded ahead.
     fn is_timed_by_arrival(&self) -> bool {
         matches!(self.timing, Timing::Arrival | Timing::Driver)
     }
@@ -309,8 +308,7 @@ impl Playback {
                 match decoded.due_ns.filter(|due_ns| believable.contains(due_ns)) {
                     Some(due_ns) => due_ns - latency_ns,
                     None => {
-                        // Once and for all: two clocks in turns would be worse than the coarser
-                        // one.
+                        // Permanent change: alternating clocks would be worse than the coarser one.
                         self.timing = Timing::Arrival;
                         arrival_ns - latency_ns
                     }
@@ -319,7 +317,7 @@ impl Playback {
         }
     }
 
-    /// Refuses frames of another size than configured.
+    /// Checks that frames have the configured size.
     fn examine(&self, caps: &gst::CapsRef) -> Result<gst_video::VideoInfo, CaptureError> {
         let info = gst_video::VideoInfo::from_caps(caps).map_err(|error| CaptureError::Frame {
             what: self.input.name(),
@@ -337,10 +335,10 @@ impl Playback {
         Ok(info)
     }
 
-    /// What is missing between what the file declares and what came out of it.
+    /// Text about missing video, if the frames end before the declared duration.
     fn shortage(&self) -> Option<String> {
         let declared = self.declared?;
-        // What is declared is the longest stream's length; another stream may outlast the video.
+        // The declared duration is that of the longest stream, which may not be the video.
         let tolerance = if decoder::streams(&self.pipeline) > 1 { 1.0 } else { 0.1 };
         (self.reached.as_secs_f64() + tolerance < declared.as_secs_f64()).then(|| {
             format!(
@@ -385,7 +383,7 @@ impl Playback {
 
 impl Drop for Playback {
     fn drop(&mut self) {
-        // First let go of the decoder's thread, which the state change waits for.
+        // Close the mailbox first: the state change waits for the decoder's thread.
         self.frames.close();
         if self.pipeline.set_state(gst::State::Null).is_err() {
             tracing::warn!(source = self.input.name(), "the source does not stop cleanly");
@@ -393,8 +391,7 @@ impl Drop for Playback {
     }
 }
 
-/// The reason why this many frames are held back, and what to do about it. Of them `by_threads` are
-/// being decoded beside the one that is given.
+/// Reason and cure for held frames. `by_threads` of them are due to frame threads.
 fn why_held(frames: usize, by_threads: usize, reordered: bool, is_fixed: bool) -> String {
     let mut reasons = Vec::new();
     if by_threads > 0 {

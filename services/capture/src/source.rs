@@ -1,10 +1,11 @@
-//! A source: whatever it is, the same events come out of it.
+//! Common interface of all sources: a series of events.
 
 use std::time::{Duration, Instant};
 
 use flockeye_config::Flow;
 use flockeye_contract::VideoCodec;
 use flockeye_runtime::backoff::Backoff;
+use flockeye_runtime::lock::lock;
 use gstreamer as gst;
 
 use crate::decoder::{self, Threading};
@@ -16,14 +17,14 @@ use crate::playback::{Playback, PlaybackEvent};
 use crate::recorded_flight::Flight;
 use crate::{CaptureError, EndReason, Event, SourceParameters, SourceSpec};
 
-/// A camera, a video file or a folder of images that hands out luma planes.
+/// A camera, a video file, a folder of images or a recorded flight, as a source of luma planes.
 #[derive(Debug)]
 pub struct FrameSource {
     spec: SourceSpec,
     params: SourceParameters,
     state: SourceState,
     backoff: Backoff,
-    /// What a camera's decoder turned out to need.
+    /// Threading of a camera's decoder after it was found too slow.
     threading: Option<Threading>,
     has_said_late: bool,
     has_said_behind: bool,
@@ -35,15 +36,15 @@ enum SourceState {
     Folder(Folder),
     Flight(Box<Flight>),
     Camera(Input, Playback),
-    /// A camera that is lost, until it is time to open it again.
+    /// A lost camera, and the time of the next attempt.
     Lost(Input, Instant),
     Ended(EndReason),
 }
 
 impl FrameSource {
-    /// Opens a source. A recording's first frame is decoded here, so that everything that keeps it
-    /// from being played is an error here; it begins to play at the first [`Self::next`]. A camera
-    /// is started; one that is not there is [`Event::Lost`], for it may still come.
+    /// Opens a source. A recording's first frame is decoded here, so that errors are found here. It
+    /// is played from the first [`Self::next`] on. A camera is started; a missing camera is
+    /// [`Event::Lost`], because it may be connected later.
     pub fn open(spec: SourceSpec, params: SourceParameters) -> Result<Self, CaptureError> {
         gst::init().map_err(|error| CaptureError::GStreamer(error.to_string()))?;
         for (name, value) in [("camera.width", params.width), ("camera.height", params.height)] {
@@ -68,15 +69,15 @@ impl FrameSource {
         })
     }
 
-    /// Waits for at most `timeout` for something to happen. Opening a camera or a recording anew,
-    /// and decoding an image of a folder, may take longer.
+    /// Waits for an event, for at most `timeout`. A repeated opening, or decoding of an image of a
+    /// folder, may take longer.
     ///
-    /// An error is final: the source cannot be used as it is configured.
+    /// An error is final: the source cannot be used with this configuration.
     pub fn next(&mut self, timeout: Duration) -> Result<Event, CaptureError> {
         match &mut self.state {
             SourceState::Recording(playback) => Ok(match playback.next(timeout)? {
                 PlaybackEvent::Picture(picture) => Event::Frame(picture),
-                // A recording's frames are decoded before they are due.
+                // Frames of a recording are decoded ahead, so these events have no effect.
                 PlaybackEvent::Idle | PlaybackEvent::Late(_) | PlaybackEvent::Behind { .. } => {
                     Event::Idle
                 }
@@ -147,8 +148,8 @@ impl FrameSource {
         }
     }
 
-    /// Passes an event on. A recording that is over starts again where that is asked for, unless
-    /// nothing came out of it.
+    /// Returns the event. At the end of a recording with frames, starts it again if looping is
+    /// configured.
     fn or_over(&mut self, event: Event) -> Result<Event, CaptureError> {
         let Event::End(reason) = event else { return Ok(event) };
         let (EndReason::Complete { frames, .. } | EndReason::Truncated { decoded: frames, .. }) =
@@ -161,8 +162,8 @@ impl FrameSource {
         Ok(Event::End(reason))
     }
 
-    /// A line for people: what is played, its size, rate and format, and which decoder was
-    /// chosen. A camera's is complete once its first frame is there.
+    /// A description for people: source, size, rate, format and decoder. For a camera it is
+    /// complete after the first frame.
     pub fn describe(&self) -> String {
         match &self.state {
             SourceState::Recording(playback) | SourceState::Camera(_, playback) => {
@@ -175,29 +176,29 @@ impl FrameSource {
         }
     }
 
-    /// The coded pictures that have come since the last time, if somebody wants them
+    /// Takes the coded pictures since the last call, if they are requested
     /// ([`SourceParameters::packets`]).
     pub fn take_packets(&self) -> Vec<Packet> {
         match &self.state {
             SourceState::Recording(playback) | SourceState::Camera(_, playback) => {
-                playback.packets.take()
+                lock(&playback.packets).take()
             }
             _ => Vec::new(),
         }
     }
 
-    /// How its pictures are coded; `None` while that is not known.
+    /// Codec of the pictures; `None` while it is unknown.
     pub fn codec(&self) -> Option<VideoCodec> {
         match &self.state {
             SourceState::Recording(playback) | SourceState::Camera(_, playback) => {
-                playback.packets.codec()
+                lock(&playback.packets).codec()
             }
             SourceState::Folder(_) | SourceState::Flight(_) => Some(VideoCodec::None),
             SourceState::Lost(..) | SourceState::Ended(_) => None,
         }
     }
 
-    /// Whether its pictures come out of a decoder of video. It is known from the first one on.
+    /// Whether the pictures come from a video decoder. Known from the first picture on.
     pub fn decodes_video(&self) -> bool {
         match &self.state {
             SourceState::Recording(playback) | SourceState::Camera(_, playback) => {
@@ -208,13 +209,13 @@ impl FrameSource {
         }
     }
 
-    /// Whether the source is a camera, which never ends and may be lost.
+    /// Whether the source is a camera, which has no end and may be lost.
     pub fn is_camera(&self) -> bool {
         matches!(self.state, SourceState::Camera(..) | SourceState::Lost(..))
     }
 }
 
-/// What makes frames late, unless it has been said.
+/// An event with the reason of late frames, at the first call only.
 fn said_once(has_said: &mut bool, what: String) -> Event {
     match std::mem::replace(has_said, true) {
         false => Event::Late { what },

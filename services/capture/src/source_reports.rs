@@ -1,4 +1,4 @@
-//! What is reported of a source: in the log, and in the stage's health.
+//! Reports about a source, in the log and in the stage's health.
 
 use std::time::Duration;
 
@@ -9,19 +9,19 @@ use flockeye_runtime::logs::Throttle;
 
 use crate::{EndReason, FrameSource};
 
-/// Reports what happens to a source.
+/// Reports about one source.
 pub(crate) struct SourceReports {
     counters: SharedCounters,
-    /// Whether a frame of the source as it is open now has come.
+    /// Whether a frame has arrived since the source was last opened.
     has_begun: bool,
-    /// Until the first frame: whether `fusion.coding: auto` was taken as video.
+    /// Until the first frame: whether `fusion.coding: auto` was resolved to video.
     is_video_guessed: bool,
     losses: Throttle,
     skips: Throttle,
 }
 
 impl SourceReports {
-    /// Reports a source that was opened as `pipeline` asks for.
+    /// Reports a source that was opened for `pipeline`.
     pub(crate) fn new(pipeline: &Pipeline, source: &FrameSource, counters: SharedCounters) -> Self {
         tracing::info!("{}", source.describe());
         counters.set_detail(source.describe());
@@ -35,8 +35,8 @@ impl SourceReports {
         }
     }
 
-    /// A frame has come. Facts that are known from the first frame on are reported then; what
-    /// decodes a recording is known before.
+    /// Notes a frame. The first frame makes facts known, which are reported then; a recording's
+    /// decoder is known before.
     pub(crate) fn frame(&mut self, source: &FrameSource) {
         self.counters.set_state(None);
         if std::mem::replace(&mut self.has_begun, true) {
@@ -55,7 +55,7 @@ impl SourceReports {
         }
     }
 
-    /// A picture cannot be used.
+    /// Reports an unusable picture.
     pub(crate) fn skipped(&mut self, what: &str, why: &str) {
         self.counters.add_failed(1);
         if let Some(more) = self.skips.admit() {
@@ -63,7 +63,7 @@ impl SourceReports {
         }
     }
 
-    /// Frames come later than they could.
+    /// Reports an avoidable latency.
     pub(crate) fn late(&self, what: &str, source: &FrameSource) {
         tracing::warn!("{what}");
         self.counters.set_detail(source.describe());

@@ -1,4 +1,4 @@
-//! What users write after `--source`.
+//! Source specification: the argument of `--source`.
 
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -6,7 +6,7 @@ use std::str::FromStr;
 
 use crate::CaptureError;
 
-/// Which source; parsed from what users write after `--source`.
+/// A source, parsed from the argument of `--source`.
 ///
 /// | written | means |
 /// | --- | --- |
@@ -17,8 +17,8 @@ use crate::CaptureError;
 /// | `theta` | a Ricoh Theta V or Z1 |
 /// | `videotestsrc is-live=true ! ...`, `gst:videotestsrc` | a GStreamer source description |
 ///
-/// A description is a camera in real time (its end is a loss, and it is opened again) and a
-/// recording in lossless flow (its end is the end).
+/// In real time, a description counts as a camera: after its end it is opened again. In lossless
+/// flow it counts as a recording.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum SourceSpec {
     /// A video file, or a single image.
@@ -38,9 +38,8 @@ pub enum SourceSpec {
 impl FromStr for SourceSpec {
     type Err = CaptureError;
 
-    /// Understands what a user wrote. Looks at the file system to distinguish a folder from a file,
-    /// and a file whose name has a `!` from a description; whether a file is there is found when it
-    /// is opened.
+    /// Parses the argument. Uses the file system to distinguish a folder from a file, and a file
+    /// name with `!` from a description. A missing file is an error only when it is opened.
     fn from_str(text: &str) -> Result<Self, CaptureError> {
         let trimmed = text.trim();
         let refused =

@@ -17,11 +17,11 @@ use crate::packet_port::PacketPort;
 use crate::source_reports::SourceReports;
 use crate::{Event, FrameSource, SourceParameters, SourcePicture, SourceSpec};
 
-/// How long the source is waited for between two looks at everything else.
+/// Timeout of one wait for the source.
 const WAIT: Duration = Duration::from_millis(50);
 
-/// Takes nothing (in a lossless run: plans, as credits); gives frames, the samples of a
-/// recording's inertial sensor, and coded pictures where somebody wants them.
+/// Inputs: none, or plans as credits in a lossless run. Outputs: frames, inertial samples of a
+/// recording, and coded pictures if subscribed.
 pub(crate) struct CaptureStage {
     frames: Publisher<Frames>,
     inertial: Option<InertialPort>,
@@ -41,7 +41,7 @@ impl Stage for CaptureStage {
         let pipeline = &resolved.pipeline;
         let spec: SourceSpec = pipeline.source.input.parse()?;
         let parameters = SourceParameters::of(pipeline);
-        // Before the source is opened, so that a recorder gets its first packet.
+        // Opened before the source, so that a recorder receives the first packet.
         let packets = PacketPort::open(pipeline, generation, parameters.packets.clone(), ports)?;
         let source = FrameSource::open(spec, parameters)?;
         Ok(Self {
@@ -102,7 +102,7 @@ impl CaptureStage {
         }
     }
 
-    /// Copies the luma plane from the decoder's buffer into shared memory: the one copy there is.
+    /// Copies the luma plane from the decoder's buffer to shared memory: the only copy.
     fn send(&mut self, picture: &SourcePicture) -> anyhow::Result<()> {
         let begun_ns = clock::monotonic_ns();
         self.reports.frame(&self.source);
@@ -118,7 +118,7 @@ impl CaptureStage {
         if let Some(inertial) = &mut self.inertial {
             inertial.send_before(picture, &header.stamp)?;
         }
-        loan.send(header)?;
+        self.frames.send_loan(loan, header)?;
         self.counters.add_latency_ns(published_ns - begun_ns);
         self.credits.note_sent(header.stamp);
         Ok(())

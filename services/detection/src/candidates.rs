@@ -3,8 +3,8 @@
 //! The steps are those of OpenCV's ArUco. Pixels darker than their surroundings are found
 //! ([`crate::darkness`]), their outlines are followed ([`crate::outlines`]), and outlines that are
 //! nearly quadrilaterals ([`crate::polygon`]) are squares. OpenCV loses a square that touches
-//! something dark with one corner, because its outline goes on around that. Those are completed by
-//! [`crate::three_corners`].
+//! something dark with one corner, because the outline continues around that object.
+//! [`crate::three_corners`] completes such squares.
 
 use flockeye_geometry::view::ViewPixel;
 use flockeye_imaging::image::LumaImage;
@@ -24,7 +24,7 @@ const MIN_OUTLINE_PER_SIDE: f64 = 2.4;
 /// Longest outline of a square, in sides of the view: a square as large as the view has four.
 const MAX_OUTLINE_PER_VIEW: f64 = 4.0;
 
-/// How far an outline may deviate from a quadrilateral, as a share of its length. Decides how
+/// Largest deviation of an outline from a quadrilateral, as a share of its length. Decides how
 /// rounded the corners of small markers may be.
 const POLYGON_ACCURACY: f64 = 0.05;
 
@@ -66,7 +66,7 @@ impl Finder {
                 let length = outline.len() as f64;
                 self.approximator.set_outline(outline);
                 let accuracy_px = POLYGON_ACCURACY * length;
-                // An outline around a hole is bright inside: it is no marker's.
+                // An outline around a hole is bright inside, so it belongs to no marker.
                 if encloses == Encloses::Dark {
                     let polygon = self.approximator.approximate(accuracy_px);
                     if let Some(quad) = quad_of(polygon, MIN_SIDE_SHARE * length, image) {

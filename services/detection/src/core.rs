@@ -1,4 +1,4 @@
-//! What detection does with a view: a pure function of the view, without port, clock or thread.
+//! The core of detection: a pure function of a view, without port, clock or thread.
 
 use flockeye_config::Resolved;
 use flockeye_contract::{
@@ -19,8 +19,7 @@ use crate::windows::thresholds;
 pub const MAX_MARKERS: usize = 64;
 const _: () = assert!(MAX_MARKERS <= MAX_DETECTED_MARKERS);
 
-/// Answers the views that are meant for one worker. An answer depends on the view alone, never on
-/// earlier ones.
+/// Handles the views of one worker. A result depends on its view alone, never on earlier ones.
 pub struct Core {
     engine: Engine,
     bodies: Bodies,
@@ -32,15 +31,15 @@ pub struct Core {
 }
 
 impl Core {
-    /// For `worker`, whose process was replaced `generation` times.
+    /// Creates the core of `worker`, whose process was replaced `generation` times.
     ///
     /// # Errors
-    /// A configuration that cannot be followed; files that it names and that cannot be read.
+    /// An invalid configuration; files named there that cannot be read.
     pub fn new(resolved: &Resolved, worker: u32, generation: u32) -> anyhow::Result<Self> {
         let (pipeline, bodies) = (&resolved.pipeline, &resolved.bodies);
         let parameters = DetectorParameters {
             min_side_px: pipeline.detection.min_side_px,
-            // Where fusion aligns whole bodies it only begins from corners, and time matters more.
+            // Where fusion aligns whole bodies, corners are only a start, and time matters more.
             effort: match pipeline.fusion.align {
                 true => CornerFit::Edges,
                 false => CornerFit::WholePrint,

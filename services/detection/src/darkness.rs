@@ -1,4 +1,4 @@
-//! Which pixels are darker than their surroundings.
+//! Pixels that are darker than their surroundings.
 //!
 //! A pixel is dark if it is darker by some code values, or by some share, than the mean of the
 //! square window around it. With code values that is OpenCV's `adaptiveThreshold`. The mean of a

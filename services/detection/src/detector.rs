@@ -32,8 +32,8 @@ const UNREFINED_PX: f64 = 2.0;
 /// Most doubtful markers that a view gives.
 pub const MAX_DOUBTFUL: usize = 4;
 
-// docs/results/constants.md#limits-of-detection has what is found, and what is false, with other
-// values of these.
+// Limits of detection; docs/results/constants.md#limits-of-detection has the detections and false
+// detections with other values.
 
 /// Largest residual of the fitted print, as a share of its contrast. Print differs from its blurred
 /// image by a few hundredths, texture by more.
@@ -47,26 +47,26 @@ const MAX_BLUR_CELLS: f64 = 0.75;
 /// by 0.8 to 1. Without it a smooth patch of a real panorama reads as a marker.
 const MAX_BLUR_CELLS_AT_RANGE: f64 = 1.1;
 
-/// What markers must reach that are blurred by more than [`MAX_BLUR_CELLS`], or whose corners are
-/// uncertain: log-likelihood ratio, and residual. 7,100 squares that are blurred as much and are no
-/// markers were read, of a hall, panoramas and a simulated world. None had a ratio above 8 to the
-/// next marker. One of more views of the panoramas passes
+/// Limits for markers that are blurred by more than [`MAX_BLUR_CELLS`], or whose corners are
+/// uncertain: least log-likelihood ratio, and largest residual. 7,100 squares that are blurred as
+/// much and are no markers were read, of a hall, panoramas and a simulated world. None had a ratio
+/// above 8 to the next marker. One of more views of the panoramas passes
 /// (docs/results/constants.md#shape-of-squares).
 const BLURRED: (f32, f64) = (12.0, 0.06);
 
-/// Least log-likelihood ratio of the marker to the next likely one, and to what is no marker.
+/// Least log-likelihood ratio of the marker to the next likely one, and to a square without a
+/// marker.
 const MIN_LOG_LIKELIHOOD_RATIO: f32 = 10.0;
 
 /// Least step from the border out to the quiet zone, on each side, as a share of that from black
 /// print to white paper.
 const MIN_QUIET_ZONE: f32 = 0.2;
 
-/// Where corners are only approximate, cells are sampled off their middles. A reading there is
-/// worth a fit from this share of the least log-likelihood ratio on.
+/// Share of the least log-likelihood ratio from which a reading is worth a fit. Where corners are
+/// only approximate, cells are sampled off their middles.
 const WORTH_FITTING: f32 = 0.5;
 
-/// Without fitted edges a marker is accepted from this multiple of the least log-likelihood ratio
-/// on.
+/// Multiple of the least log-likelihood ratio from which a marker is accepted without fitted edges.
 const UNREFINED_RATIO: f32 = 2.0;
 
 /// Least contrast of a marker's cells, as a share of that between its quiet zone and its border.
@@ -74,16 +74,16 @@ const UNREFINED_RATIO: f32 = 2.0;
 /// those of 4,041 markers at least 0.59.
 const MIN_CELL_CONTRAST: f32 = 0.28;
 
-/// A square is another outline of a refined marker if each of its corners lies this near to one of
-/// the marker's: pixels, and a share of the marker's side.
+/// Largest distance between the corners of a refined marker and those of another outline of it:
+/// pixels, and a share of the marker's side.
 const SAME_CORNER: (f64, f64) = (2.0, 0.05);
 
-/// A square is on a marker already found if their centres are nearer than this share of the
-/// marker's side.
+/// Largest distance between the centres of a square and a marker already found, at which the square
+/// is on the marker, as a share of the marker's side.
 const SAME_PLACE_SHARE: f64 = 0.3;
 
-/// A marker printed inside another one is smaller by more than this factor: with its margin it has
-/// to fit among the other's cells.
+/// Least size ratio between a marker and another one printed inside it: with its margin the inner
+/// one must fit among the cells.
 const NESTED_SIDE_RATIO: f64 = 2.5;
 
 /// A marker in a view.
@@ -93,7 +93,7 @@ pub struct MarkerInView {
     pub id: u32,
     /// Its corners in ArUco's order: clockwise from the printed top left.
     pub corners_in_view: [ViewPixel; 4],
-    /// The rays to them, in the camera frame.
+    /// Rays to the corners, in the camera frame.
     pub rays_in_camera: [Ray; 4],
     /// Standard deviation of each ray across itself, radians.
     pub deviations_rad: [f64; 4],
@@ -139,7 +139,8 @@ impl Detector {
         })
     }
 
-    /// Gives squares that cannot be decoded as doubtful markers, if they look like one of these.
+    /// Reports squares that cannot be decoded as doubtful markers, if they look like one of these
+    /// ids.
     pub fn with_expected(self, ids: impl IntoIterator<Item = u32>) -> Self {
         let known = ids.into_iter().filter(|&id| self.dictionary.print(id).is_some());
         Self { expected: known.collect(), ..self }
@@ -158,7 +159,7 @@ impl Detector {
     /// Sets the thresholds for the next images.
     ///
     /// # Errors
-    /// None at all, or one that no image can be searched with. The former ones stay then.
+    /// No thresholds, or one that is invalid for every image. The previous ones stay then.
     pub fn set_thresholds(
         &mut self,
         thresholds: impl Iterator<Item = Threshold> + Clone,
@@ -176,9 +177,8 @@ impl Detector {
         self.parameters.corner_accuracy_px = 1.0 + magnification.max(1.0);
     }
 
-    /// Finds every marker in `image`, which shows what `view` says: by rising id. One id may be at
-    /// several places. After them come at most [`MAX_DOUBTFUL`] doubtful ones of other ids, the
-    /// best first.
+    /// Finds every marker in `image`, the picture of `view`, by rising id. One id may be at several
+    /// places. After them come at most [`MAX_DOUBTFUL`] doubtful ones of other ids, the best first.
     pub fn detect(
         &mut self,
         image: &LumaImage<'_>,
@@ -279,8 +279,8 @@ impl Detector {
                 ..found_at(view, decoded.id, refined.corners_in_view, refined.sigmas_px)
             })
         });
-        // Where nothing could be fitted the outline's corners stay. In even light a fit that is
-        // refused says that this is no print; in uneven light it says only that a shadow spoils it.
+        // Where nothing could be fitted the outline's corners stay. In even light a refused fit
+        // means that the square is no print. In uneven light a shadow may have spoiled the fit.
         let keeps_outline = by_outline && (refined.is_none() || lighting == Lighting::Uneven);
         fitted
             .or_else(|| {
@@ -292,8 +292,9 @@ impl Detector {
             .filter(|marker| is_square(&marker.rays_in_camera, &marker.deviations_rad))
     }
 
-    /// The corners of an outline or, where the print reads better so, with one of them where a
-    /// parallelogram has it: the outline goes round what hides a corner. With what is read there.
+    /// The corners of an outline, with their reading. If the print reads better so, one corner is
+    /// replaced by that of a parallelogram, because an outline follows the object that hides a
+    /// corner.
     fn with_hidden_corner(
         &self,
         image: &LumaImage<'_>,
@@ -315,7 +316,7 @@ impl Detector {
         Some(best)
     }
 
-    /// The expected marker that a square looks most like, if it looks enough like it.
+    /// The expected marker with the highest similarity to a square, if that is high enough.
     fn doubtful(
         &self,
         view: &View,
@@ -356,9 +357,9 @@ impl Detector {
         refine_corners(image, light, guess, print, self.grain, lighting, self.parameters.effort)
     }
 
-    /// Whether fitted corners are known well enough for each sample to lie in its own cell. Where
-    /// they are not, what is read there says less of what is printed. Texture that reads as a
-    /// marker often leaves its corners open.
+    /// Whether fitted corners are precise enough for each sample to lie in its own cell. Otherwise
+    /// the reading contains less information on the print. Texture that reads as a marker often has
+    /// imprecise corners.
     fn samples_own_cells(&self, refined: &RefinedCorners) -> bool {
         let sigma_px =
             (refined.sigmas_px.map(|sigma| sigma * sigma).iter().sum::<f64>() / 4.0).sqrt();
@@ -415,8 +416,9 @@ pub(crate) fn found_at(
     }
 }
 
-/// Keeps the first of the markers at each place, which are outlines of one square or of a part of
-/// it. A marker printed inside another one has a place of its own: it is much smaller.
+/// Keeps the first of the markers at each place, because the others are outlines of the same square
+/// or of a part of it. A marker printed inside another one has a place of its own: it is much
+/// smaller.
 fn keep_best_of_each_place(found: &mut Vec<MarkerInView>) {
     let mut kept: Vec<MarkerInView> = Vec::with_capacity(found.len());
     for marker in found.drain(..) {
@@ -462,7 +464,7 @@ fn is_outline_of(marker: &MarkerInView, quad: &Quad) -> bool {
             .all(|corner| quad.iter().any(|other| (other.0 - corner.0).norm() < near))
 }
 
-/// The angle that a pixel spans at `at`, mean of that along and across the direction from the
+/// Angle of a pixel at `at`, radians: the mean of those along and across the direction from the
 /// middle.
 fn radians_per_pixel(view: &View, at: ViewPixel) -> f64 {
     let (x, y) = (at.0.x - view.centre_px(), at.0.y - view.centre_px());

@@ -1,18 +1,18 @@
-//! What a reading of a marker should be: its cells, and the steps between them, after a blur.
+//! The expected reading of a marker: its cells, and the steps between them, after a blur.
 
 use flockeye_imaging::edges::MarkerPrint;
 
 /// Places of a cell where its radiance is sampled, along both axes, cells from its middle.
 pub(crate) const SAMPLE_CELLS: f64 = 0.2;
 
-/// Radiance of black print, as a share of what white paper has more. What a camera shows is first
-/// brought to this: glare adds to both, and ink differs.
+/// Radiance of black print, as a share of the difference between white paper and black. Camera
+/// readings are scaled to this first, because glare adds to both, and ink differs.
 pub(crate) const BLACK_SHARE: f32 = 0.1;
 
 /// The widest blur that steps are compared at, cells.
 pub(crate) const WIDEST_STEP_BLUR_CELLS: f64 = 0.4;
 
-/// The largest step that counts: that from black print to white paper, 2.4.
+/// The largest step that counts: from black print to white paper, 2.4.
 pub(crate) fn largest_step() -> f32 {
     ((1.0 + BLACK_SHARE) / BLACK_SHARE).ln()
 }
@@ -91,9 +91,9 @@ fn log(white: f32) -> f32 {
     (white + BLACK_SHARE).ln()
 }
 
-/// How much a cell and its two neighbours on either side add to the radiance at a point of the
-/// cell. The point lies `at` cells from the middle; the blur is a Gaussian with this standard
-/// deviation, cells.
+/// Weights of a cell and its two neighbours on either side in the radiance at a point of the cell.
+/// The point lies `at` cells from the middle; the blur is a Gaussian with this standard deviation,
+/// cells.
 fn kernel(blur: f64, at: f64) -> Kernel {
     let steps = 40;
     let weights = [-2, -1, 0, 1, 2].map(|cell| {
@@ -106,7 +106,7 @@ fn kernel(blur: f64, at: f64) -> Kernel {
     weights.map(|weight| (weight / total) as f32)
 }
 
-/// The inner ones of all cells of a square.
+/// The inner cells of a square.
 pub(crate) fn inner_cells(cells: &[f32], bits: usize) -> Vec<f32> {
     let row = |row: usize| &cells[row * (bits + 2) + 1..][..bits];
     (1..=bits).flat_map(row).copied().collect()
@@ -129,7 +129,7 @@ pub(crate) fn step_count(bits: usize) -> usize {
 }
 
 /// The steps between cells whose light has these logarithms, border included: along the rows, then
-/// along the columns. None counts for more than that between black print and white paper.
+/// along the columns. Each counts at most as much as the step between black print and white paper.
 pub(crate) fn steps(logs: &[f32], bits: usize) -> Vec<f32> {
     let (all, most) = (bits + 2, largest_step());
     let mut steps = Vec::with_capacity(step_count(bits));

@@ -1,4 +1,4 @@
-//! Which detector searches the views (`detection.engine`).
+//! Choice of the detector that searches the views (`detection.engine`).
 
 use flockeye_config::DetectionEngine;
 use flockeye_dictionary::Dictionary;
@@ -14,15 +14,15 @@ use crate::windows::Threshold;
 
 /// A detector for one dictionary.
 pub enum Engine {
-    /// Ours.
+    /// Flockeye's own detector.
     Own(Box<Detector>),
-    /// OpenCV's, with its default parameters.
+    /// OpenCV's detector, with its default parameters.
     OpenCv(Box<OpenCvDetector>),
 }
 
 impl Engine {
     /// The detector of this kind for the dictionary of this name. `parameters` and the `expected`
-    /// ids, of which a square that cannot be decoded may be one, are for ours alone.
+    /// ids of undecodable squares apply to our own detector alone.
     ///
     /// # Errors
     /// An unknown dictionary, a broken file, or a parameter outside its range.
@@ -57,11 +57,11 @@ impl Engine {
         }
     }
 
-    /// Finds every marker in `image`, which shows what `view` says and has `magnification` pixels
-    /// for each of the sphere's image, along either axis. By rising id, doubtful ones last.
+    /// Finds every marker in `image`, the picture of `view`, by rising id, doubtful ones last.
+    /// `image` has `magnification` pixels for each of the sphere image, along either axis.
     ///
     /// # Errors
-    /// Thresholds that no image can be searched with; what OpenCV says.
+    /// Thresholds that are invalid for every image; errors of OpenCV.
     pub fn detect(
         &mut self,
         image: &LumaImage<'_>,

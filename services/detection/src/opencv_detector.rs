@@ -1,4 +1,4 @@
-//! OpenCV's own ArUco detector (`detection.engine: opencv`), to compare ours with and to check it.
+//! OpenCV's own ArUco detector (`detection.engine: opencv`), as a reference for ours.
 
 use flockeye_dictionary::{Dictionary, DictionaryError};
 use flockeye_geometry::mask::Mask;
@@ -21,7 +21,7 @@ pub struct OpenCvDetector {
     mask: Option<Mask>,
 }
 
-/// Whether OpenCV is there, and finds markers of this dictionary in a picture without any.
+/// Whether OpenCV is available and finds markers of this dictionary in a picture without any.
 pub fn examine(dictionary: &str) -> Vec<Finding> {
     let version = opencv::core::get_version_string().unwrap_or_else(|error| error.to_string());
     let searched = OpenCvDetector::new(dictionary).map_err(|error| error.to_string());
@@ -54,11 +54,11 @@ impl OpenCvDetector {
         &self.dictionary
     }
 
-    /// Finds every marker in `image`, which shows what `view` says, by rising id. One id may be
-    /// there more than once.
+    /// Finds every marker in `image`, the picture of `view`, by rising id. One id may occur more
+    /// than once.
     ///
     /// # Errors
-    /// What OpenCV says.
+    /// Errors of OpenCV.
     pub fn detect(
         &self,
         image: &LumaImage<'_>,

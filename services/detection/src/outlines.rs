@@ -43,8 +43,8 @@ const WORD: usize = 8;
 /// Follows outlines; reuses its memory for the next image.
 #[derive(Debug, Default)]
 pub(crate) struct Follower {
-    /// Which neighbours of each pixel are dark: a bit for each of [`STEPS`], the first one lowest.
-    /// It decides where an outline goes next, and is computed for all pixels at once beforehand.
+    /// Dark neighbours of each pixel: a bit for each of [`STEPS`], the first one lowest. It decides
+    /// where an outline goes next, and is computed for all pixels at once beforehand.
     neighbours: Vec<u8>,
     /// [`FOLLOWED`], [`FOLLOWED_RIGHT`] and [`FIRST`] of each pixel.
     marks: Vec<u8>,
@@ -64,11 +64,11 @@ pub(crate) type Pixel = Vector2<i32>;
 pub(crate) struct Outlines {
     /// The points of all of them, one after the other.
     points: Vec<Pixel>,
-    /// Where each outline's points end, and what it encloses.
+    /// End of each outline's points, and the kind of its inside.
     ends: Vec<(usize, Encloses)>,
 }
 
-/// What an outline encloses.
+/// Inside of an outline.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Encloses {
     /// A dark region.
@@ -78,7 +78,7 @@ pub(crate) enum Encloses {
 }
 
 impl Outlines {
-    /// What each outline encloses, and its points, each a neighbour of the next.
+    /// The inside of each outline, and its points, each a neighbour of the next.
     pub(crate) fn iter(&self) -> impl Iterator<Item = (Encloses, &[Pixel])> {
         let starts = std::iter::once(0).chain(self.ends.iter().map(|&(end, _)| end));
         starts.zip(&self.ends).map(|(start, &(end, encloses))| (encloses, &self.points[start..end]))
@@ -95,7 +95,7 @@ impl Outlines {
     }
 }
 
-/// How an outline leaves a pixel.
+/// Exit of an outline from a pixel.
 #[derive(Debug, Clone, Copy, Default)]
 struct Exit {
     /// The step to the next pixel: in memory, and along columns and rows.
@@ -125,7 +125,8 @@ fn exit(came_from: u8, neighbours: u8, stride: usize) -> Exit {
 }
 
 impl Follower {
-    /// The outlines of dark regions and of holes in them that have so many points, two or more.
+    /// The outlines of dark regions and of holes in them with a number of points in `lengths`, two
+    /// or more.
     pub(crate) fn follow(
         &mut self,
         dark: &DarkPixels,

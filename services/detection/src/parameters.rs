@@ -1,5 +1,4 @@
-//! What the detector searches for and accepts, with its defaults: the values that the stage flies
-//! with.
+//! Parameters of the detector, with the defaults that the stage uses.
 
 use flockeye_contract::{Search, ViewKind};
 use flockeye_dictionary::DictionaryError;
@@ -7,11 +6,11 @@ use flockeye_imaging::edges::CornerFit;
 
 use crate::windows::{DarkerBy, Threshold, thresholds};
 
-/// What is searched for, and what is accepted as a marker.
+/// Parameters of the search for squares and of the acceptance of markers.
 ///
 /// The defaults are those of a view at the sphere's own resolution. They were chosen on renderings
 /// and on real panoramas without markers. There some squares pass for a marker by their cells
-/// alone; their edges then tell them from print.
+/// alone; their edges then distinguish them from print.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DetectorParameters {
     /// Markers with shorter sides are not searched for, pixels. At 11 px a cell of a marker with 5
@@ -20,9 +19,9 @@ pub struct DetectorParameters {
     /// The local thresholds. Each one finds squares that the others lose, for example where the
     /// shaded side of a marker joins something dark; each costs another pass over the view.
     pub thresholds: Vec<Threshold>,
-    /// How far an outline may deviate from a polygon that has three of a square's corners, pixels.
+    /// Largest deviation of an outline from a polygon with three of a square's corners, pixels.
     pub corner_accuracy_px: f64,
-    /// What is fitted to find a marker's corners.
+    /// Parts of the marker that are fitted to find its corners.
     pub effort: CornerFit,
 }
 
@@ -37,7 +36,7 @@ impl Default for DetectorParameters {
     }
 }
 
-/// Why a detector could not be made, or not be given other thresholds.
+/// Reason why a detector could not be made, or thresholds not set.
 #[derive(Debug, thiserror::Error)]
 #[expect(missing_docs, reason = "the messages say what the fields are")]
 pub enum DetectError {
@@ -70,7 +69,7 @@ impl DetectorParameters {
     }
 }
 
-/// Refuses no thresholds at all, and those that no image can be searched with.
+/// Refuses an empty list of thresholds, and thresholds that are invalid for every image.
 pub(crate) fn check_thresholds(
     thresholds: impl Iterator<Item = Threshold>,
 ) -> Result<(), DetectError> {

@@ -5,24 +5,24 @@ use flockeye_geometry::body::{Bodies, Body, Marker};
 
 use crate::detector::MarkerInView;
 
-/// Largest relative error of a marker's range by its longest side. It covers noise, and what the
-/// tilt of a near marker adds.
+/// Largest relative error of a marker's range from its longest side. It covers noise, and the
+/// effect of a near marker's tilt.
 const RANGE_ERROR: f64 = 0.3;
 
 /// Two markers are never visible together if the cosine between their normals is below this: they
 /// face away from each other by more than 143 degrees.
 const MIN_NORMAL_COSINE: f64 = -0.8;
 
-/// How far a marker's centre may be off its place on the body, in sides of the marker.
+/// Largest distance of a marker's centre from its place on the body, in sides of the marker.
 const CENTRE_SLACK: f64 = 0.5;
 
 /// Leaves out markers that contradict others of the same body.
 ///
 /// Two markers contradict each other if they face away from each other, or if their apparent sizes
-/// put them farther apart than they are on the body. Of the contradicting markers the one with most
-/// contradictions goes first, then the one with the lowest correlation. Doubtful markers count
-/// against doubtful ones only: in a hall full of windows several would contradict a decoded marker.
-/// Markers that no configured body carries stay.
+/// put them farther apart than they are on the body. The marker with most contradictions is removed
+/// first, then the one with the lowest correlation. Doubtful markers count against doubtful ones
+/// only: in a hall full of windows several would contradict a decoded marker. Markers that no
+/// configured body carries stay.
 pub fn keep_plausible(mut found: Vec<MarkerInView>, bodies: &Bodies) -> Vec<MarkerInView> {
     loop {
         let contradicted: Vec<usize> = (0..found.len())
@@ -43,7 +43,7 @@ pub fn keep_plausible(mut found: Vec<MarkerInView>, bodies: &Bodies) -> Vec<Mark
     }
 }
 
-/// Whether two markers belong to one body that cannot show both where they are.
+/// Whether two markers belong to one body that cannot show both at these places.
 fn contradict(a: &MarkerInView, b: &MarkerInView, bodies: &Bodies) -> bool {
     let owner = bodies.owner(a.id);
     if a.id == b.id || owner.is_none() || owner != bodies.owner(b.id) {
@@ -66,7 +66,7 @@ fn contradict(a: &MarkerInView, b: &MarkerInView, bodies: &Bodies) -> bool {
         || near * angle.sin().abs() > apart * (1.0 + RANGE_ERROR) + CENTRE_SLACK * first.side()
 }
 
-/// The range of a marker, metres, by its longest side: the one that a tilt shortens least.
+/// Range of a marker from its longest side, metres: a tilt shortens that side least.
 fn range(found: &MarkerInView, marker: &Marker) -> f64 {
     let rays = &found.rays_in_camera;
     let longest = (0..4).map(|k| rays[k].angle(&rays[(k + 1) % 4])).fold(0.0, f64::max);

@@ -28,9 +28,9 @@ impl Approximator {
         self.points.clear();
         self.corners.clear();
         let Some(&first) = outline.first() else { return };
-        // To begin with, two points that are far from each other are taken for corners. What is
-        // farthest from any point may lie beside a corner by some pixels, so what is farthest from
-        // that is the first.
+        // The division starts with two distant points as corners. The farthest point from an
+        // arbitrary one may lie some pixels beside a corner. The farthest point from that one is
+        // the first corner.
         self.points.extend(outline);
         let beside = self.points.farthest_from(first);
         let start = self.points.farthest_from(outline[beside]);
@@ -50,8 +50,8 @@ impl Approximator {
     /// point.
     ///
     /// No point of the outline is farther from the polygon than `accuracy_px`, or twice that where
-    /// [`Self::drop_straight`] left out a corner. A second call refines the first call's corners,
-    /// so `accuracy_px` must not be larger then.
+    /// [`Self::drop_straight`] removed a corner. A second call refines the first call's corners, so
+    /// `accuracy_px` must not be larger then.
     pub(crate) fn approximate(&mut self, accuracy_px: f64) -> &[Pixel] {
         let limit = accuracy_px * accuracy_px;
         self.divide(limit);

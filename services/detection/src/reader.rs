@@ -1,4 +1,4 @@
-//! Which marker a reading shows.
+//! Decoding of a reading: the marker that it shows.
 
 use flockeye_dictionary::Dictionary;
 use flockeye_imaging::edges::{Lighting, MarkerPrint};
@@ -16,51 +16,52 @@ const BLURS_CELLS: [f64; 3] = [0.15, 0.4, 0.65];
 const STEP_BLURS_CELLS: [f64; 2] = [0.15, WIDEST_STEP_BLUR_CELLS];
 
 /// Least contrast of a reading that is compared: the norm of its cells' deviations from their mean,
-/// where white paper has a radiance of up to 1. Below, there is nothing but rounding.
+/// where white paper has a radiance of up to 1. Below, there are only rounding errors.
 const MIN_CONTRAST: f32 = 1e-4;
 
-/// Least share of the sum of squares that a marker is taken to leave unexplained. It bounds the
-/// likelihood ratio of a perfect reading.
+/// Least share of the sum of squares that counts as unexplained. It bounds the likelihood ratio of
+/// a perfect reading.
 const MIN_RESIDUAL: f32 = 1e-4;
 
-/// What is no marker correlates as much with the best of many: squares of textures by 0.64 to 0.69
-/// in the median, of real panoramas by 0.72 to 0.76. With this as the alternative, of 11,216
-/// squares of textures 24 have a ratio of 10 or more, and of 1,019 of panoramas 8, all in the
-/// oldest dictionary but 6.
+/// Correlation of a square without a marker with the best of many markers. Squares of textures have
+/// 0.64 to 0.69 in the median, those of real panoramas 0.72 to 0.76. With this as the alternative,
+/// of 11,216 squares of textures 24 have a ratio of 10 or more, and of 1,019 of panoramas 8, all in
+/// the oldest dictionary but 6.
 const NO_MARKER_CORRELATION: f32 = 0.65;
 
-/// What a square reads as.
+/// Result of decoding a square.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Decoded {
     pub id: u32,
-    /// Which of the square's corners is the printed top left.
+    /// Index of the square's corner that is the printed top left.
     pub first_corner: usize,
     /// Normalized correlation with the marker, at most 1.
     pub correlation: f32,
-    /// Correlation with the next likely marker or with what is no marker, whichever is larger.
+    /// Correlation with the next likely marker or with a square without a marker, whichever is
+    /// larger.
     runner_up: f32,
     cells: usize,
 }
 
 impl Decoded {
-    /// Logarithm of the likelihood ratio of this marker to the next likely one, or to what is no
-    /// marker: the lesser.
+    /// Logarithm of the likelihood ratio of this marker to the next likely one, or to a square
+    /// without a marker. The lesser one counts.
     pub(crate) fn log_likelihood_ratio(&self) -> f32 {
         log_likelihood_ratio(self.cells, self.correlation, self.runner_up)
     }
 
-    /// Whether a square is likelier to be this marker than none.
+    /// Whether the square is likelier to be this marker than no marker.
     pub(crate) fn is_likelier_than_no_marker(&self) -> bool {
         self.correlation > NO_MARKER_CORRELATION
     }
 
-    /// The marker after a closer look, which can only speak against it.
+    /// The marker after a closer comparison, which can only lower its correlation.
     pub(crate) fn with(self, explained: &Explained) -> Self {
         Self { correlation: self.correlation.min(explained.correlation()), ..self }
     }
 }
 
-/// How well a marker explains a reading, in either model of the light.
+/// Correlation of a marker with a reading, in either model of the light.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Explained {
     even: f32,
@@ -73,7 +74,7 @@ impl Explained {
         if self.uneven > self.even { Lighting::Uneven } else { Lighting::Even }
     }
 
-    /// How well the marker explains the reading: 1 is perfect.
+    /// Correlation in the better model: 1 is perfect.
     pub(crate) fn correlation(&self) -> f32 {
         self.even.max(self.uneven)
     }
@@ -141,8 +142,8 @@ impl MarkerReader {
         Self { bits, count, cells, steps }
     }
 
-    /// By how much white cells are brighter than black ones if a reading shows this marker, as a
-    /// share of what the quiet zone is brighter than the border.
+    /// Contrast between white and black cells if a reading shows this marker, as a share of the
+    /// contrast between quiet zone and border.
     pub(crate) fn cell_contrast(&self, reading: &Reading, print: &MarkerPrint) -> f32 {
         let mean = reading.cells.iter().sum::<f32>() / reading.cells.len() as f32;
         // The slope of the reading over the blurred print, at the blur that explains most of it.
@@ -158,7 +159,7 @@ impl MarkerReader {
         best.map_or(0.0, |(_, slope)| slope / reading.edge_contrast.max(1e-6))
     }
 
-    /// How well a marker explains a reading that begins at its printed top left.
+    /// Correlates a marker with a reading that begins at its printed top left.
     ///
     /// Unlike [`Self::compare`] it also looks within the cells: print changes at their edges alone.
     /// Squares of another size read as a marker where cells are grey, half white and half black.
@@ -221,8 +222,8 @@ impl Correlations {
         self.best_among(0..self.count as u32)
     }
 
-    /// The one with the largest correlation among these ids, which are of the dictionary. The
-    /// likelihood ratio is that to the next of them.
+    /// The marker with the largest correlation among these ids of the dictionary. The likelihood
+    /// ratio is relative to the next of them.
     pub(crate) fn best_among(&self, ids: impl Iterator<Item = u32> + Clone) -> Option<Decoded> {
         let mut best: Option<Decoded> = None;
         let mut runner_up = NO_MARKER_CORRELATION;

@@ -1,9 +1,9 @@
-//! Reading what is printed in a square.
+//! Reading of the print in a square.
 //!
-//! What a square shows is compared with the dictionary's markers *after blurring them*. In a small
-//! marker a white cell among black ones never becomes white, and a threshold would read it as
-//! black. The measure is the normalized correlation, in two models of the light, of which the one
-//! counts that explains more:
+//! The reading of a square is compared with the dictionary's markers *after blurring them*. In a
+//! small marker a white cell among black ones never becomes white, and a threshold would read it as
+//! black. The measure is the normalized correlation, in two models of the light, of which the
+//! better one counts:
 //!
 //! - **Even light**: the radiance of the inner cells. It is best where cells are hardly wider than
 //!   the blur, or where white saturates.
@@ -19,11 +19,11 @@ use flockeye_imaging::square::{SquareInView, mean_side_px};
 
 use crate::drawn::{BLACK_SHARE, SAMPLE_CELLS, WIDEST_STEP_BLUR_CELLS, largest_step};
 
-/// Where the quiet zone is sampled, cells outside the square's edge: near the middle of its first
+/// Distance of the quiet zone's samples from the square's edge, cells: near the middle of its first
 /// cell in small markers.
 const QUIET_CELLS: f64 = 0.45;
 
-/// In large markers it is sampled so many pixels outside the edge, beyond the lens's blur, but no
+/// Distance of its samples from the edge in large markers, pixels: beyond the lens's blur, but no
 /// nearer than [`MIN_QUIET_CELLS`]. Printed margins are often narrower than half a cell.
 const QUIET_PX: f64 = 1.5;
 const MIN_QUIET_CELLS: f64 = 0.2;
@@ -50,7 +50,7 @@ pub(crate) struct Reading {
     pub(crate) edge_contrast: f32,
 }
 
-/// What the steps of a square follow from.
+/// Logarithms of the light, from which steps are computed.
 pub(crate) struct Steps {
     /// Logarithm of the light of all cells, border included, row by row from the square's first
     /// corner.

@@ -1,8 +1,8 @@
 //! Whether four corners are those of a square.
 //!
-//! A view says where on the sphere each corner lies. A tilted square is narrower at its far side,
-//! by as much as its size on the sphere says. A shelf or a crack that reads as a marker has any
-//! shape.
+//! The view gives the direction of each corner. A tilted square is narrower at its far side, by an
+//! amount that follows from its apparent size. A shelf or a crack that reads as a marker may have
+//! any shape.
 
 use std::sync::LazyLock;
 
@@ -10,16 +10,16 @@ use flockeye_geometry::Ray;
 use flockeye_geometry::filter::chi_square_quantile;
 use flockeye_geometry::pose::squared_distance_from_square;
 
-/// Squared distance from a square's corners that 99.9 % of all right corners stay below.
+/// Gate for the squared distance from a square's corners: 99.9 % of all right corners stay below.
 static MAX_SQUARED_DISTANCE: LazyLock<f64> = LazyLock::new(|| chi_square_quantile(2.0, 0.999));
 
-/// How far a marker's corners may lie beside a square's, as a share of its side: standard deviation
-/// along either axis. Paper bends, and the lens that took a photograph is not known.
+/// Standard deviation of a marker's corners from those of a square along either axis, as a share of
+/// its side. Paper bends, and the lens that took a photograph is not known.
 /// docs/results/constants.md#shape-of-squares has the curve.
 const UNEVEN_SHARE: f64 = 0.05;
 
-/// Whether the corners that are seen along these rays may be those of a square. Each ray has a
-/// standard deviation across itself, radians.
+/// Whether corners along these rays may belong to a square. Each ray has a standard deviation
+/// across itself, radians.
 pub(crate) fn is_square(rays: &[Ray; 4], deviations_rad: &[f64; 4]) -> bool {
     let side_rad = (0..4).map(|k| rays[k].angle(&rays[(k + 1) % 4])).sum::<f64>() / 4.0;
     let deviations_rad = deviations_rad.map(|deviation| deviation.hypot(UNEVEN_SHARE * side_rad));

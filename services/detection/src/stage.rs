@@ -10,7 +10,7 @@ use flockeye_runtime::{Context, Stage, Step, clock};
 
 use crate::core::Core;
 
-/// Takes the views of its lane; gives a detection record for each, also for an empty one.
+/// Receives the views of its lane and sends a detection record for each, also for an empty one.
 pub struct DetectionStage {
     views: Subscriber<Views>,
     detections: Publisher<Detections>,

@@ -11,12 +11,11 @@ use nalgebra::Vector2;
 use crate::outlines::Pixel;
 use crate::quad::Quad;
 
-// These limits decide which corners are taken for a square's. They are wide, because what passes is
-// still read: `tests/recall.rs` draws markers with a strut across one corner and counts what is
-// found.
+// Limits on the corners of a possible square. They are wide, because every candidate is still read:
+// `tests/recall.rs` draws markers with a strut across one corner and counts the detections.
 
 /// Least ratio of the singular values of two neighbouring sides, which is the cosine of a square's
-/// tilt about any axis. What is tilted by more than 69 degrees cannot be read.
+/// tilt about any axis. Markers tilted by more than 69 degrees cannot be read.
 const MIN_TILT_COSINE: f64 = 0.35;
 
 /// Least cosine of the angle between the rest of a side and the opposite side.
@@ -25,16 +24,16 @@ const MIN_PARALLEL_COSINE: f64 = 0.85;
 /// Least length of the rest of a side, as a share of the opposite side.
 const MIN_REST_SHARE: f64 = 0.25;
 
-/// Shortest of the two seen sides, as a share of the shortest side that is searched for: a tilt
-/// shortens one of them.
+/// Least length of the shorter seen side, as a share of the shortest side in the search, because a
+/// tilt shortens one side.
 const MIN_SEEN_SIDE_SHARE: f64 = 0.7;
 
 /// Least number of the twelve places compared across the sides that must be dark inside and bright
 /// outside. One of the two sides to the lost corner may be hidden.
 const MIN_DARKER: u32 = 9;
 
-/// The quadrilaterals that three successive corners of a closed polygon are part of. The polygon's
-/// next vertex on either side must lie towards the fourth corner. Clockwise.
+/// The quadrilaterals from three successive corners of a closed polygon, clockwise. The polygon's
+/// next vertex on either side must lie towards the fourth corner.
 pub(crate) fn complete(polygon: &[Pixel], min_side_px: f64) -> impl Iterator<Item = Quad> + '_ {
     let count = polygon.len();
     // The polygon is closed: after the last corner comes the first.
@@ -43,8 +42,8 @@ pub(crate) fn complete(polygon: &[Pixel], min_side_px: f64) -> impl Iterator<Ite
     (0..if count < 5 { 0 } else { count }).filter_map(move |k| {
         let [before, a, b, c, after] = [0, 1, 2, 3, 4].map(|n| at(k + n));
         let (first, second) = (b - a, c - b);
-        // Squared lengths, because most corners are no square's, and roots would take most of the
-        // time.
+        // Squared lengths, because most corners belong to no square, and roots would take most of
+        // the time.
         let squares = (first.norm_squared(), second.norm_squared());
         // With the singular values s and t, this is s t, and the sum of the squares is s^2 + t^2.
         let turn = first.perp(&second);
@@ -54,8 +53,8 @@ pub(crate) fn complete(polygon: &[Pixel], min_side_px: f64) -> impl Iterator<Ite
         {
             return None;
         }
-        // The rest of the third side begins at c, against the first side; that of the fourth at a,
-        // along the second.
+        // The rest of the third side begins at c, opposite to the direction of the first side. The
+        // rest of the fourth begins at a, along the second side.
         let (onwards, backwards) = (after - c, before - a);
         let is_rest = |rest: Vector2<f64>, side: Vector2<f64>| {
             rest.dot(&side) > MIN_PARALLEL_COSINE * rest.norm() * side.norm()
@@ -68,7 +67,7 @@ pub(crate) fn complete(polygon: &[Pixel], min_side_px: f64) -> impl Iterator<Ite
         let sine = onwards.perp(&backwards);
         let share = (a - c).perp(&backwards) / sine;
         let fourth = c + onwards * share;
-        // False for a NaN, as where the two are parallel.
+        // False for a NaN, as for parallel sides.
         let is_ahead = share > 0.0 && share.is_finite();
         if !is_ahead {
             return None;

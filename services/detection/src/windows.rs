@@ -1,4 +1,4 @@
-//! The windows of the local threshold that a view is searched with.
+//! Windows of the local threshold for the search of a view.
 
 use flockeye_contract::{Search, ViewKind};
 
@@ -6,20 +6,20 @@ use flockeye_contract::{Search, ViewKind};
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Threshold {
     /// Side of the square of surroundings whose mean counts, pixels; odd. From 15 px on the square
-    /// is made of blocks: it is up to a tenth smaller, and up to a fourteenth of its side off
+    /// consists of blocks. Then it is up to a tenth smaller, and up to a fourteenth of its side off
     /// centre.
     pub window_px: usize,
-    /// By how much the pixel must be darker than the mean.
+    /// Least difference between the pixel and the mean.
     pub darker_by: DarkerBy,
 }
 
-/// By how much a pixel must be darker than a mean.
+/// Least difference between a dark pixel and a mean.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum DarkerBy {
-    /// By so many code values; 1 or more.
+    /// This many code values; 1 or more.
     Codes(u8),
-    /// By this share of the mean, percent; 1 to 99. What is white in the shade is darker than what
-    /// is white in the sun, but not as much as print.
+    /// This share of the mean, percent; 1 to 99. White in the shade is darker than white in the
+    /// sun, but the difference is smaller than to black print.
     Percent(u8),
 }
 
@@ -36,7 +36,7 @@ impl DarkerBy {
         }
     }
 
-    /// By how many code values a square's inside must be darker than its outside.
+    /// Least difference in code values between a square's inside and outside.
     pub(crate) fn codes(self) -> u8 {
         match self {
             Self::Codes(codes) => codes,
@@ -45,24 +45,25 @@ impl DarkerBy {
     }
 }
 
-/// By so many code values a pixel must be darker at least, by whatever share: in the dark noise is
-/// a large share.
+/// Least difference of a dark pixel for any share, code values: in the dark, noise is a large
+/// share.
 const MIN_DARKER_CODES: u16 = 4;
 
-/// Least step across the side of a square that was found by a share of the mean, code values.
+/// Least step across the side of a square found by a share of the mean, code values.
 const LEAST_STEP_CODES: u8 = 10;
 
-/// A window, in pixels of the sphere's own resolution, and by how much a marker's pixel is darker
-/// than the window's mean.
+/// A window, in pixels of the sphere's own resolution, and the least difference of a marker's pixel
+/// from its mean.
 type Window = (f64, DarkerBy);
 
 /// Windows for tiles, finest first.
 ///
 /// The fine one finds markers in the shade and beside dark things, the coarse one bright markers.
-/// On drawn markers of 14 to 30 px, in a hall and in a panorama, these two found most for their
-/// time: see docs/results/constants.md#threshold-windows. The two between them are taken where time
-/// does not matter. The narrower one finds markers in pictures that are far too dark, where white
-/// is only some code values brighter than black; the other one those that shadows cross.
+/// On drawn markers of 14 to 30 px, in a hall and in a panorama, these two have the most detections
+/// for their time: see docs/results/constants.md#threshold-windows. The two between them are taken
+/// where time does not matter. The narrower one finds markers in pictures that are far too dark,
+/// where white is only some code values brighter than black; the other one finds markers that
+/// shadows cross.
 const TILE_WINDOWS: &[Window] = &[
     (7.0, DarkerBy::Codes(4)),
     (15.0, DarkerBy::Codes(4)),
@@ -86,8 +87,8 @@ const MAX_REACH_PX: f64 = 500.0;
 /// The thresholds for a view of this kind, cut with `magnification` pixels for each of the
 /// sphere's.
 ///
-/// Lens blur has a fixed size on the sphere, so what separates a marker from its surroundings has
-/// one too: windows grow with the magnification.
+/// Lens blur has a fixed size on the sphere, and so has the gap between a marker and its
+/// surroundings. So windows grow with the magnification.
 pub fn thresholds(
     kind: ViewKind,
     search: Search,

@@ -1,4 +1,4 @@
-//! What egomotion does with frames: no port, no clock, no thread.
+//! The core of egomotion, without port, clock or thread.
 
 use flockeye_config::Resolved;
 use flockeye_contract::{FrameHeader, FrameStamp, ImuHeader, ImuSample, Rotation, RotationSource};
@@ -14,8 +14,7 @@ use nalgebra::UnitQuaternion;
 use crate::inertial::{SensorNotice, SensorWatch};
 use crate::rate::RateFilter;
 
-/// Frames that lie farther apart are not compared, seconds: too little of what both show is the
-/// same.
+/// Longest time between compared frames, seconds. Beyond it, too little is visible in both.
 const LONGEST_STEP_S: f64 = 0.3;
 
 /// Time over which the inertial sensor's rate is averaged where the exposure is not known, seconds.
@@ -28,12 +27,12 @@ pub(crate) struct Core {
     sampler: Sampler,
     /// The filter of the rate, while it is known.
     rate: Option<RateFilter>,
-    /// Where an inertial sensor is configured.
+    /// `None` without an inertial sensor in the configuration.
     sensor: Option<SensorWatch>,
-    /// The inertial sensor as it is configured.
+    /// Configuration of the inertial sensor.
     camera_from_sensor: UnitQuaternion<f64>,
     time_offset_s: f64,
-    /// Which run of the inertial sensor its last samples are of: generation and epoch.
+    /// Generation and epoch of the inertial sensor's last samples.
     sensor_run: (u32, u32),
     exposure_s: f64,
     earlier: Option<FrameStamp>,
@@ -41,7 +40,7 @@ pub(crate) struct Core {
 }
 
 impl Core {
-    /// No frame has come. This process was replaced `generation` times.
+    /// Creates the core before the first frame. This process was replaced `generation` times.
     ///
     /// # Errors
     /// A mask that cannot be read.
@@ -63,7 +62,7 @@ impl Core {
         })
     }
 
-    /// Takes in samples of the inertial sensor.
+    /// Handles samples of the inertial sensor.
     pub(crate) fn on_samples(&mut self, header: &ImuHeader, samples: &[ImuSample]) {
         let Some(sensor) = &mut self.sensor else { return };
         let run = (header.generation, header.epoch);
@@ -77,15 +76,15 @@ impl Core {
         }
     }
 
-    /// What the inertial sensor has done since this was asked last.
+    /// Returns the inertial sensor's notices since the last call.
     pub(crate) fn take_notices(&mut self) -> Vec<SensorNotice> {
         self.sensor.as_mut().map(SensorWatch::take_notices).unwrap_or_default()
     }
 
-    /// How the camera has turned since the frame before.
+    /// Returns the rotation of the camera since the frame before.
     ///
     /// # Errors
-    /// A frame of another size than the camera's.
+    /// A frame whose size differs from the camera's.
     pub(crate) fn on_frame(
         &mut self,
         header: &FrameHeader,
@@ -103,10 +102,7 @@ impl Core {
             .zip(self.sensor.as_mut())
             .and_then(|((from_s, to_s), sensor)| sensor.between(from_s, to_s));
         let expected = self.expected(times, by_sensor.as_ref());
-        let by_picture = self.gyroscope.next(&frame, expected).map(|found| Turned {
-            later_from_earlier: found.later_from_earlier,
-            covariance: found.covariance,
-        });
+        let by_picture = self.gyroscope.next(&frame, expected);
         let unknown = Rotation { stamp, generation: self.generation, ..Rotation::default() };
         let Some(earlier) = earlier else { return Ok(unknown) };
         let Some((turned, source)) = self.turned(&earlier, &stamp, by_picture, by_sensor) else {
@@ -121,8 +117,7 @@ impl Core {
         self.sensor.as_ref().is_some_and(SensorWatch::counts)
     }
 
-    /// Where the picture's rotation is looked for: where the sensor has it, or where the rate
-    /// leads.
+    /// Start of the search for the picture's rotation: from the sensor, or else from the rate.
     fn expected(
         &self,
         times: Option<(f64, f64)>,
@@ -132,12 +127,12 @@ impl Core {
             return Some(corrected.turned.later_from_earlier);
         }
         let (from_s, to_s) = times?;
-        // The sphere turns the other way than the camera.
+        // The sphere rotates opposite to the camera.
         let expected = self.rate.as_ref()?.expected(to_s - from_s);
         Some(UnitQuaternion::from_scaled_axis(-expected))
     }
 
-    /// The rotation between two frames by whatever knows it.
+    /// The rotation between two frames from every available source.
     fn turned(
         &mut self,
         earlier: &FrameStamp,
@@ -164,7 +159,7 @@ impl Core {
         }
     }
 
-    /// The rotation with the rate at the exposure, and with what the sensor knows beyond.
+    /// The rotation with the rate at the exposure, and the sensor's rotation beyond it.
     fn turn(&mut self, earlier: &FrameStamp, stamp: &FrameStamp, turned: &Turned) -> CameraTurn {
         let (earlier_s, later_s) = (earlier.exposure_s(), stamp.exposure_s());
         let vector = turned.later_from_earlier.inverse().scaled_axis();
@@ -200,7 +195,7 @@ impl Core {
     }
 }
 
-/// Whether a frame comes after another of the same flight, and soon enough.
+/// Whether a frame follows another of the same flight soon enough.
 fn follows(stamp: &FrameStamp, earlier: &FrameStamp) -> bool {
     let is_same_flight =
         (stamp.source_generation, stamp.epoch) == (earlier.source_generation, earlier.epoch);

@@ -1,59 +1,61 @@
-//! The inertial sensor beside the picture: whether it is right, and what it adds where it is.
+//! The inertial sensor, with its comparison to the picture.
 //!
-//! The picture is the judge. Bias, mounting and time offset of the sensor are filtered by comparing
-//! its rotations with the picture's ([`SensorErrors`]). A sensor counts once it has agreed while
-//! the drone turned, and until it disagrees in five of fifteen frames.
+//! The picture is the reference. A filter estimates bias, mounting and time offset of the sensor
+//! from both rotations ([`SensorErrors`]). A sensor is enabled after comparisons inside the gate
+//! while the drone turned. It is disabled after five of fifteen frames outside the gate.
 
 use flockeye_geometry::ego_rotation::Turned;
 use flockeye_geometry::inertial::errors::Corrected;
 use flockeye_geometry::inertial::{RateRecord, RateSample, SensorErrors};
 use nalgebra::{Matrix3, Vector3};
 
-/// Time for which samples are kept, seconds: a frame that comes late is still covered.
+/// Time for which samples are kept, seconds, so that a late frame is still covered.
 const KEEP_S: f64 = 2.0;
 
-/// Sensor and picture agree within this squared Mahalanobis distance: 99.9 % of the comparisons of
-/// a sensor that is right (chi-square, 3 degrees of freedom).
+/// Gate of the squared Mahalanobis distance between sensor and picture: 99.9 % of the comparisons
+/// of a right sensor pass (chi-square, 3 degrees of freedom).
 const GATE: f64 = 16.27;
 
 /// Number of comparisons among which [`OUTSIDE`] are counted.
 const WINDOW: u32 = 15;
-/// Number of comparisons outside the gate that makes the sensor wrong. With one in fifty outside,
-/// twenty times what a right sensor has, that happens every three hours at 30 frames/s: p (14 over
-/// 4) p^4 (1 - p)^10 a frame.
+/// Number of comparisons outside the gate that disables the sensor. With one in fifty outside,
+/// twenty times the share of a right sensor, that happens every three hours at 30 frames/s: p (14
+/// over 4) p^4 (1 - p)^10 a frame.
 const OUTSIDE: u32 = 5;
 
-/// Comparisons in a row that must agree before a sensor counts. Once it was wrong, twice as many.
+/// Number of consecutive comparisons inside the gate that enables a sensor. After it was disabled,
+/// twice as many are needed.
 const AGREED: u32 = 15;
-/// Least turn of the drone meanwhile, radians (3 degrees): at rest all mountings agree.
+/// Least rotation of the drone in these comparisons, radians (3 degrees): at rest all mountings
+/// pass.
 const TURNED: f64 = 0.052;
 
 /// Time of pictures without samples after which the sensor counts as silent, seconds.
 const SILENT_S: f64 = 0.5;
 
-/// Longest time ahead for which the rotation is asked, seconds: no camera is older on arrival.
+/// Longest time ahead for a requested rotation, seconds: no camera is older on arrival.
 const AHEAD_S: f64 = 0.5;
 
-/// What is worth a line in the log.
+/// Notice for the log.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum SensorNotice {
-    /// The sensor agrees with the picture; from now on it counts.
+    /// The sensor passed its comparisons with the picture and is enabled.
     Agrees {
         /// Its bias along the camera's axes, rad/s.
         bias: Vector3<f64>,
     },
-    /// The sensor disagrees with the picture; from now on it is left out.
+    /// The sensor failed its comparisons with the picture and is disabled.
     Disagrees {
         /// The picture's rate less the sensor's in the last frame, rad/s.
         off: Vector3<f64>,
     },
     /// The sensor has sent no samples for a while.
     Silent,
-    /// Samples come again.
+    /// Samples arrive again.
     Heard,
 }
 
-/// The inertial sensor, and how far it agrees with the picture.
+/// The inertial sensor and its comparison with the picture.
 #[derive(Debug)]
 pub(crate) struct SensorWatch {
     record: RateRecord,
@@ -61,10 +63,10 @@ pub(crate) struct SensorWatch {
     standing: Standing,
     /// The last comparisons, newest in the lowest bit: 1 where they were outside the gate.
     outside: u32,
-    /// Comparisons that agreed in a row, and what the drone turned by in them, radians.
+    /// Consecutive comparisons inside the gate, and the rotation of the drone in them, radians.
     agreed: u32,
     turned: f64,
-    /// Since when pictures have no samples, seconds of the exposures.
+    /// Start of the time without samples, seconds of the exposures.
     silent_since_s: Option<f64>,
     is_silent: bool,
     notices: Vec<SensorNotice>,
@@ -93,12 +95,12 @@ impl SensorWatch {
         }
     }
 
-    /// Takes in the next sample, in the camera's axes and on the camera's clock.
+    /// Handles the next sample, in the camera's axes and on the camera's clock.
     pub(crate) fn push(&mut self, sample: RateSample) {
         self.record.push(sample);
     }
 
-    /// The sensor's clock begins anew.
+    /// Handles a new start of the sensor's clock.
     pub(crate) fn begin_epoch(&mut self) {
         self.record.clear();
         self.errors.begin_clock();
@@ -108,7 +110,7 @@ impl SensorWatch {
         self.standing == Standing::Counts
     }
 
-    /// What has happened since this was asked last.
+    /// Returns the notices since the last call.
     pub(crate) fn take_notices(&mut self) -> Vec<SensorNotice> {
         std::mem::take(&mut self.notices)
     }
@@ -136,8 +138,8 @@ impl SensorWatch {
         found
     }
 
-    /// Compares the sensor with the picture's rotation over `step_s` seconds. Where the sensor
-    /// counts and both agree, gives the rotation by both.
+    /// Compares the sensor with the picture's rotation over `step_s` seconds. If the sensor is
+    /// enabled and the comparison passes, returns the rotation from both.
     pub(crate) fn with_picture(
         &mut self,
         corrected: &Corrected,
@@ -178,14 +180,13 @@ impl SensorWatch {
         }
     }
 
-    /// The rate by the sensor round a time, averaged over `width_s`, rad/s, with its covariance:
-    /// where it counts.
+    /// Rate from the enabled sensor around a time, averaged over `width_s`, rad/s, with its
+    /// covariance.
     pub(crate) fn rate(&self, at_s: f64, width_s: f64) -> Option<(Vector3<f64>, Matrix3<f64>)> {
         self.counts().then(|| self.errors.rate(&self.record, at_s, width_s)).flatten()
     }
 
-    /// Until when the samples reach beyond an exposure, and the rotation since, where the sensor
-    /// counts.
+    /// End of the samples beyond an exposure, and the rotation since, from the enabled sensor.
     pub(crate) fn ahead(&self, exposure_s: f64) -> Option<(f64, Turned)> {
         let newest_s = self.errors.camera_time_s(self.record.newest_s()?);
         let until_s = newest_s.min(exposure_s + AHEAD_S);

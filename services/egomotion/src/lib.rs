@@ -1,9 +1,9 @@
-//! How the camera itself turns, from the sphere that it sees.
+//! The camera's own rotation, from the sphere image.
 //!
 //! The core follows the rotation from frame to frame ([`flockeye_imaging::gyroscope`]) and its rate
-//! during each exposure (`rate`). An inertial sensor adds to both where there is one and it agrees
-//! (`inertial`). Health reports how the camera turns (`words`). docs/DETECTION.md describes the
-//! method and what it reaches.
+//! during each exposure (`rate`). An inertial sensor improves both if there is one and it passes
+//! its comparison (`inertial`). Health reports the rotation (`words`). docs/DETECTION.md describes
+//! the method and its accuracy.
 
 #![warn(unreachable_pub)]
 
@@ -13,7 +13,7 @@ mod rate;
 mod stage;
 mod words;
 
-/// The egomotion stage's process. It is here so that it is compiled once, with the library.
+/// Entry point of the egomotion process, in the library so that it is compiled once.
 pub fn main() -> std::process::ExitCode {
     flockeye_runtime::stage::main::<stage::EgomotionStage>()
 }

@@ -1,6 +1,6 @@
 //! The camera's rate at the middle of an exposure, from the rotations between exposures.
 //!
-//! A rotation between two frames gives the mean rate between them, which is that of half a frame
+//! A rotation between two frames gives the mean rate between them, which is the rate half a frame
 //! ago. A drone in gusts changes its rate by some degrees a second meanwhile. So the rate is
 //! filtered together with its change: a Kalman filter with white-noise jerk (Bar-Shalom, Li,
 //! Kirubarajan, section 6.2.3), one for all axes, because all have the same noise.
@@ -8,10 +8,11 @@
 use flockeye_geometry::ego_rotation::JERK;
 use nalgebra::{Matrix2, Matrix3, RowVector2, Vector3};
 
-/// Deviations of the first rate and of its change: as fast as a drone turns, rad/s and rad/s^2.
+/// Standard deviations of the first rate and of its change: the fastest motion of a drone, rad/s
+/// and rad/s^2.
 const FIRST_DEVIATIONS: [f64; 2] = [3.0, 10.0];
 
-/// The rate and its change, and how certain both are.
+/// The rate and its change, with their covariance.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct RateFilter {
     rate: Vector3<f64>,
@@ -21,8 +22,7 @@ pub(crate) struct RateFilter {
 }
 
 impl RateFilter {
-    /// The rotation vector that is expected over the next `step_s` seconds, in the camera's axes,
-    /// radians.
+    /// Expected rotation vector over the next `step_s` seconds, in the camera's axes, radians.
     pub(crate) fn expected(&self, step_s: f64) -> Vector3<f64> {
         self.rate * step_s + self.acceleration * (step_s * step_s / 2.0)
     }
@@ -32,8 +32,8 @@ impl RateFilter {
         (self.rate, Matrix3::from_diagonal_element(self.covariance[(0, 0)]))
     }
 
-    /// The filter after the camera's rotation vector over the last `step_s` seconds, in its axes,
-    /// with its covariance (rad^2). `before` is `None` where nothing was measured yet.
+    /// Returns the filter updated with the camera's rotation vector over the last `step_s` seconds,
+    /// in its axes, with its covariance (rad^2). `before` is `None` before the first measurement.
     pub(crate) fn updated(
         before: Option<Self>,
         step_s: f64,
@@ -53,7 +53,7 @@ impl RateFilter {
         let predicted = transition * before.covariance * transition.transpose() + noise;
         let (rate, acceleration) =
             (before.rate + before.acceleration * step_s, before.acceleration);
-        // The mean rate over the step: the rate now, less half of its change.
+        // Mean rate over the step: the rate now, less half of its change.
         let seen = RowVector2::new(1.0, -step_s / 2.0);
         let variance = covariance.trace() / 3.0 / (step_s * step_s);
         let spread = (seen * predicted * seen.transpose())[0] + variance;
@@ -66,7 +66,8 @@ impl RateFilter {
         }
     }
 
-    /// Takes in the rate at the same time from an inertial sensor, rad/s, with its covariance.
+    /// Updates the rate with an inertial sensor's rate at the same time, rad/s, with its
+    /// covariance.
     pub(crate) fn observe(&mut self, rate: &Vector3<f64>, covariance: &Matrix3<f64>) {
         let seen = RowVector2::new(1.0, 0.0);
         let spread = self.covariance[(0, 0)] + covariance.trace() / 3.0;

@@ -12,10 +12,11 @@ use crate::core::Core;
 use crate::inertial::SensorNotice;
 use crate::words::RotationCount;
 
-/// Takes frames and an inertial sensor's samples; gives the camera's rotation to each frame.
+/// Receives frames and an inertial sensor's samples, and sends the camera's rotation for each
+/// frame.
 pub(crate) struct EgomotionStage {
     frames: Subscriber<Frames>,
-    /// Where there is a sensor.
+    /// `None` without a sensor.
     imus: Option<Subscriber<Imus>>,
     rotations: Publisher<Rotations>,
     core: Core,
@@ -47,7 +48,7 @@ impl Stage for EgomotionStage {
             Flow::Latest => self.frames.newest()?,
             Flow::Lossless => self.frames.receive()?,
         };
-        // After the frame was taken: its source sent the samples that cover it before it.
+        // Read after the frame: its source sent the samples that cover it before the frame.
         if let Some(imus) = &mut self.imus {
             while let Some(samples) = imus.receive()? {
                 self.core.on_samples(&samples.header, samples.items());
@@ -75,7 +76,7 @@ impl Stage for EgomotionStage {
     }
 }
 
-/// A line for what the inertial sensor has done: each is logged once until the next.
+/// Logs a notice of the inertial sensor.
 fn log(notice: SensorNotice) {
     let degrees = |rate: Vector3<f64>| {
         let [x, y, z] = rate.map(f64::to_degrees).into();

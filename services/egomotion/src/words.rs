@@ -1,9 +1,9 @@
-//! The camera's rotation in egomotion's health.
+//! Text on the camera's rotation in egomotion's health.
 
 use flockeye_contract::{Rotation, RotationSource};
 use nalgebra::{Matrix3, Vector3};
 
-/// How often the rotation was known since this process started, for its health.
+/// Number of frames with a known rotation since this process started, for its health.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub(crate) struct RotationCount {
     known: u64,
@@ -13,11 +13,11 @@ pub(crate) struct RotationCount {
 impl RotationCount {
     /// Counts a frame's rotation, and describes how the camera turns. The text has its rate and the
     /// standard deviation stated for it (root of the covariance's trace), both in degrees/s. It
-    /// also has what it was measured by, and of how many frames it was known. It has at most 96
+    /// also states the source, and the number of frames with a known rotation. It has at most 96
     /// bytes, the room in `Health`.
     pub(crate) fn in_words(&mut self, rotation: &Rotation) -> String {
         self.frames += 1;
-        // The contract's check refuses unknown codes before anyone reads them.
+        // The contract's check refuses unknown codes before this.
         let source = RotationSource::try_from(rotation.source).unwrap_or(RotationSource::Nothing);
         if source == RotationSource::Nothing {
             return format!(

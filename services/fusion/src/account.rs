@@ -1,7 +1,7 @@
-//! What was decided of one body in each frame, and why: plain data for whoever asks afterwards.
+//! Account of the decisions about one body in each frame, with their reasons, as plain data.
 //!
-//! Each pass gives a [`Trial`] of its target: what it tried, the decision, and what became of it.
-//! The tracker keeps the trials of one target for whoever asks; nothing is decided by them.
+//! Each pass returns a [`Trial`] of its target: the tried poses, the decision, and its outcome. The
+//! tracker keeps the trials of one target for `flockeye explain`; they have no effect on decisions.
 
 use nalgebra::Isometry3;
 
@@ -12,40 +12,40 @@ use crate::measurement::PoseMeasurement;
 use crate::policy::TimeBudget;
 use crate::track_prior::TrackPrior;
 
-/// One thing that happened to the target in a frame.
+/// An event of the target in a frame.
 #[derive(Debug, Clone, PartialEq)]
 #[allow(clippy::large_enum_variant, reason = "a few for each frame that somebody asks about")]
 pub enum AccountEntry {
-    /// A pass was due, and did not run.
+    /// A pass was due, but did not run.
     NotRun(Pass, NotRun),
     /// A pass ran.
     Ran(Trial),
-    /// Decoded markers contradict the pose of the direct pass: its target waits for its markers for
-    /// a while.
+    /// Decoded markers contradict the pose of the direct pass, so its target waits for its markers
+    /// for a while.
     Contradicted,
-    /// The frame is complete, and what only corrects the track was taken in.
+    /// The frame is complete, and a pose that only corrects the track was used.
     TakenImprecise(Outcome),
 }
 
 /// A measurement pass.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Pass {
-    /// From the prediction alone.
+    /// Starts from the prediction alone.
     Direct,
-    /// From markers and the prediction, when the region of interest was searched.
+    /// Starts from markers and the prediction, after the search of the region of interest.
     Region,
-    /// The corner pass over all of the complete frame.
+    /// The corner pass over the whole complete frame.
     Complete,
-    /// From rough starts, and a search round the prediction.
+    /// Starts from rough starts, and a search around the prediction.
     Background,
-    /// In any attitude, at a place that looks like a body.
+    /// Searches in any attitude, at a place that looks like a body.
     Place,
 }
 
-/// Why a pass did not run.
+/// Reason why a pass did not run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum NotRun {
-    /// The frame's pose has left already.
+    /// The frame's pose was already published.
     Published,
     /// There is no track, or none that is confirmed and was measured in the last frame.
     NotMeasuredBefore,
@@ -60,15 +60,15 @@ pub enum NotRun {
 /// A pass over one target.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Trial {
-    /// Which.
+    /// Kind of the pass.
     pub pass: Pass,
-    /// The place in the plan of the view whose pixels it read.
+    /// Place in the plan of the view that it read.
     pub view_index: Option<u32>,
-    /// How much time it had.
+    /// Its time budget.
     pub budget: TimeBudget,
     /// Whether rough starts and the search were left to the background pass.
     pub is_deferred: bool,
-    /// What the track predicted, `camera_from_markers`.
+    /// The track's prediction, `camera_from_markers`.
     pub predicted: Option<Isometry3<f64>>,
     /// Whether that track is confirmed.
     pub is_confirmed: bool,
@@ -76,18 +76,18 @@ pub struct Trial {
     pub decoded: Vec<u32>,
     /// Ids of squares that are probably markers.
     pub doubtful: Vec<u32>,
-    /// Poses that the decoded corners give, the cheapest first.
+    /// Poses from the decoded corners, the cheapest first.
     pub corner_poses: Vec<CornerPose>,
     /// Poses that were compared with the picture, in the order in which they were tried.
     pub hypotheses: Vec<Hypothesis>,
-    /// What was decided of them.
+    /// The decision about them.
     pub decision: Decision,
-    /// What became of the pose that was chosen.
+    /// Outcome of the chosen pose.
     pub outcome: Outcome,
 }
 
 impl Trial {
-    /// A pass that begins.
+    /// A pass at its start.
     pub fn of(pass: Pass, prior: &TrackPrior, budget: TimeBudget) -> Self {
         Self {
             pass,
@@ -105,7 +105,7 @@ impl Trial {
         }
     }
 
-    /// Hypotheses with what was decided of each.
+    /// Hypotheses with the verdict on each.
     pub fn decided(&self) -> impl Iterator<Item = (&Hypothesis, Verdict)> {
         self.hypotheses.iter().zip(self.decision.reasons.iter().copied())
     }

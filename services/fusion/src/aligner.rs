@@ -1,10 +1,10 @@
-//! Tries poses: aligns bodies with pictures from several starts, and collects what that leads to
-//! for a decision.
+//! Tries poses: aligns bodies with pictures from several starts, and collects the results for a
+//! decision.
 //!
-//! Two poses of a flat marker project almost alike (planar pose ambiguity), so one facet can agree
-//! with two attitudes, and a second facet of a few pixels agrees by chance with the wrong one. A
-//! track decides between them by its prediction ([`Aligner::confirm`]). Without one, hypotheses
-//! compete by their evidence ([`Aligner::initiate`]).
+//! Two poses of a flat marker project almost alike (planar pose ambiguity). So one facet can fit
+//! two attitudes, and a second facet of a few pixels fits the wrong one by chance. A track decides
+//! between them by its prediction ([`Aligner::confirm`]). Without one, hypotheses compete by their
+//! evidence ([`Aligner::initiate`]).
 
 use std::sync::{Arc, OnceLock};
 
@@ -20,16 +20,16 @@ use crate::decide::{self, Decision};
 use crate::hypothesis::{Hypothesis, StartSource};
 use crate::policy::TimeBudget;
 
-/// The view that shows a body best.
+/// The best view of a body.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct BestView<'p> {
     /// The view, with its pixels.
     pub picture: Picture<'p>,
     /// Its place in the plan.
     pub(crate) view_index: u32,
-    /// Squares in it that agree with one pose, where no marker was decoded and there is no track.
+    /// Number of squares in it that fit one pose, if no marker was decoded and there is no track.
     pub(crate) agreeing: u32,
-    /// The distance that its rays are right for, metres. It matters for lenses off the camera's
+    /// Distance for which its rays are exact, metres. It matters for lenses off the camera's
     /// centre.
     pub(crate) rays_m: f64,
 }
@@ -41,27 +41,27 @@ impl BestView<'_> {
     }
 }
 
-/// Where alignment may start.
+/// Start of an alignment.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Start {
-    /// A pose (`camera_from_markers`) that is off by half a cell at most.
+    /// A pose (`camera_from_markers`) with an error of half a cell at most.
     Fine(Isometry3<f64>),
-    /// A pose that may be off by more.
+    /// A pose with a possibly larger error.
     Rough(Isometry3<f64>),
-    /// A pose that was tried before with the same picture, and what it led to.
+    /// A pose that was tried before with the same picture, with its result.
     Tried(Result<Box<Alignment>, AlignError>),
 }
 
-/// What a body is looked for in, and from where.
+/// Search for a body: its picture and starts.
 #[derive(Debug, Clone, Copy)]
 pub struct Sought<'s> {
     /// The body's number.
     pub target: usize,
     /// The picture.
     pub picture: &'s Picture<'s>,
-    /// Where alignment starts, in this order.
+    /// Starts of the alignment, in this order.
     pub starts: &'s [(StartSource, Start)],
-    /// How much time there is.
+    /// The time budget.
     pub budget: TimeBudget,
 }
 
@@ -69,20 +69,21 @@ pub struct Sought<'s> {
 #[derive(Debug, Clone)]
 pub struct Aligner {
     prints: Vec<BodyPrint>,
-    /// Templates of each print, made when they are needed first.
+    /// Templates of each print, made at their first use.
     templates: Arc<[OnceLock<Templates>]>,
     pub(crate) pixels_per_radian: f64,
     options: AlignOptions,
-    /// The largest tilt between a target and its observer, radians; 0 where none is known.
+    /// The largest tilt between a target and its observer, radians; 0 if it is not known.
     max_tilt_rad: f64,
     /// Up on the observer, in the camera frame.
     up_in_camera: Unit<Vector3<f64>>,
-    /// Up on each target, in its markers' frame. `None` for a target that may hang in any attitude.
+    /// Up on each target, in its markers' frame. `None` for a target that may have any attitude.
     up_in_markers: Vec<Option<Unit<Vector3<f64>>>>,
 }
 
 impl Aligner {
-    /// For `bodies` whose markers look as `print_of` says, on a sphere image of this resolution.
+    /// Creates the aligner of `bodies`, with their markers from `print_of`, on a sphere image of
+    /// this resolution.
     ///
     /// # Errors
     /// A marker that cannot be drawn.
@@ -105,21 +106,21 @@ impl Aligner {
         })
     }
 
-    /// Multiplies covariances by this; see [`AlignOptions::covariance_scale`].
+    /// Sets a factor on covariances; see [`AlignOptions::covariance_scale`].
     pub(crate) fn with_covariance_scale(mut self, covariance_scale: f64) -> Self {
         self.options.covariance_scale = covariance_scale;
         self
     }
 
-    /// Multiplies covariances by this too; see [`AlignOptions::coding_covariance_scale`].
+    /// Sets another factor on covariances; see [`AlignOptions::coding_covariance_scale`].
     pub(crate) fn with_coding_covariance_scale(mut self, scale: f64) -> Self {
         self.options.coding_covariance_scale = scale;
         self
     }
 
-    /// Sets how far targets may be tilted from their observer, whose camera is mounted as given: of
-    /// two poses that look alike, one beyond `max_rad` is not the body's. With 0 nothing is known
-    /// of the tilt. Nor is it ever of a body with a single marker, which may be stuck on anything.
+    /// Sets the largest tilt of targets from their observer, whose camera is mounted as given. Of
+    /// two poses that look alike, one beyond `max_rad` is not the body's. With 0 the tilt is not
+    /// known. It is never known for a body with a single marker, which may be attached to anything.
     pub(crate) fn with_max_tilt(
         mut self,
         bodies: &Bodies,
@@ -136,8 +137,8 @@ impl Aligner {
         self
     }
 
-    /// Looks for a body, which a track predicts as `confirmed` if it has a confirmed one, then
-    /// round a prediction where no start leads to it. The other parameters are those of
+    /// Searches for a body from its starts, then around a prediction if no start leads to it.
+    /// `confirmed` is the prediction of a confirmed track. The other parameters are those of
     /// [`Self::confirm`] and [`Self::initiate`].
     pub(crate) fn find(
         &self,
@@ -160,10 +161,10 @@ impl Aligner {
         }
     }
 
-    /// Confirms where a body is, which its track `predicted`: aligns it from its starts until one
-    /// leads to a pose that is certain. Where the budget is spent, only the first start is tried.
-    /// `is_marked` tells whether markers were decoded where a pose has them. What was tried is
-    /// added to `tried`.
+    /// Confirms the pose of a body, which its track `predicted`. Aligns it from its starts until
+    /// one leads to a certain pose. With a spent budget, only the first start is tried. `is_marked`
+    /// returns whether markers were decoded at the places of a pose. The hypotheses are added to
+    /// `tried`.
     pub fn confirm(
         &self,
         sought: &Sought<'_>,
@@ -187,13 +188,13 @@ impl Aligner {
         decide::of_tracked(tried)
     }
 
-    /// Finds a body of which no track is confirmed from all of its starts. Hypotheses compete: what
-    /// the starts led to, and the mirror pose of the likeliest one about its most informative
-    /// facet. What was tried is added to `tried`.
+    /// Finds a body of which no track is confirmed from all of its starts. Hypotheses compete: the
+    /// results of the starts, and the mirror pose of the likeliest one about its most informative
+    /// facet. The hypotheses are added to `tried`.
     ///
-    /// With a limited budget the first accepted pose that several facets tell ends the search: all
-    /// starts of an untracked target took 113 ms, in which every other pose waits. `needs_facets`:
-    /// see [`decide::of_untracked`].
+    /// With a limited budget the first accepted pose that several facets support ends the search.
+    /// All starts of an untracked target took 113 ms, and every other pose waits for them.
+    /// `needs_facets`: see [`decide::of_untracked`].
     pub fn initiate(
         &self,
         sought: &Sought<'_>,
@@ -219,7 +220,7 @@ impl Aligner {
         decide::of_untracked(tried, likeliest, needs_facets)
     }
 
-    /// A hypothesis that competes with others, with what is known of it by itself.
+    /// A hypothesis that competes with others, with the evidence for it alone.
     fn competing(
         &self,
         target: usize,
@@ -232,7 +233,7 @@ impl Aligner {
         Hypothesis { tilt_log, ..Hypothesis::marked(source, found, is_marked) }
     }
 
-    /// What the mirror pose of a hypothesis, about its most informative facet, leads to.
+    /// Alignment of the mirror pose of a hypothesis, about its most informative facet.
     fn mirror_of(
         &self,
         target: usize,
@@ -251,7 +252,7 @@ impl Aligner {
         Some(tilt_rad <= self.max_tilt_rad)
     }
 
-    /// Searches for body `target` round where it was predicted.
+    /// Searches for body `target` around its prediction.
     pub fn reacquire(
         &self,
         target: usize,
@@ -261,7 +262,7 @@ impl Aligner {
         reacquire(self.prints.get(target)?, picture, predicted, &self.options)
     }
 
-    /// Searches round a prediction too, unless a precise pose is chosen.
+    /// Also searches around a prediction, unless a precise pose is chosen.
     pub(crate) fn or_round(
         &self,
         decision: Decision,
@@ -280,8 +281,8 @@ impl Aligner {
 
     /// Searches for body `target` in any attitude at a place.
     ///
-    /// What it finds competes as in [`Self::initiate`]. No more is asked of it:
-    /// docs/results/places.md counts how likely the best pose is where nobody is.
+    /// The results compete as in [`Self::initiate`]. There is no further condition:
+    /// docs/results/places.md has the log odds of the best pose at places without a body.
     pub(crate) fn find_at(
         &self,
         target: usize,
@@ -297,17 +298,17 @@ impl Aligner {
         let starts = starts_at(print, templates, picture, place, &self.options);
         let starts: Vec<(StartSource, Start)> =
             starts.into_iter().map(|start| (StartSource::Place, Start::Rough(start))).collect();
-        // The first that several facets tell will do: starts come best first.
+        // The first pose that several facets support is enough, because starts come best first.
         let sought = Sought { target, picture, starts: &starts, budget: TimeBudget::OneFrame };
         self.initiate(&sought, |_| false, false, tried)
     }
 
-    /// Aligns from a start. The pose may be no body.
+    /// Aligns from a start. The pose may belong to no body.
     pub fn align(&self, target: usize, picture: &Picture<'_>, start: &Start) -> Option<Alignment> {
         self.try_align(target, picture, start).ok()
     }
 
-    /// Aligns from a start, as [`Aligner::align`], or returns why that leads to nothing.
+    /// Aligns from a start, as [`Aligner::align`], or returns the reason for no result.
     ///
     /// # Errors
     /// [`AlignError`].

@@ -1,4 +1,4 @@
-//! Where background passes run: on a thread of their own in flight, at once in a lossless run.
+//! Execution of background passes: on a thread of their own in flight, at once in a lossless run.
 
 use std::collections::VecDeque;
 use std::io;
@@ -14,19 +14,20 @@ use crate::measure::background::Job;
 /// Runs background passes.
 #[derive(Debug)]
 pub enum BackgroundRunner {
-    /// On a thread, which ends when this is dropped, after the job that it is at. When an answer
-    /// comes depends on the machine.
+    /// Runs on a thread. After a drop, the thread ends with its present job. The time of an answer
+    /// depends on the machine.
     Thread {
         /// Jobs for the thread.
         jobs: Sender<Job>,
-        /// What it answers.
+        /// Answers of the thread.
         answers: Receiver<Box<Trial>>,
     },
-    /// At once, so that a lossless run repeats. The virtual clock says when the answer counts.
+    /// Runs at once, so that a lossless run is repeatable. The virtual clock gives the time at
+    /// which the answer counts.
     Inline {
-        /// What jobs run with.
+        /// The aligner of the jobs.
         aligner: Arc<Aligner>,
-        /// Answers that were not asked for yet.
+        /// Answers that were not taken yet.
         answers: VecDeque<Box<Trial>>,
     },
 }
@@ -49,7 +50,7 @@ impl BackgroundRunner {
         Ok(Self::Thread { jobs, answers })
     }
 
-    /// Runs each job when it is handed in.
+    /// Runs each job when it is submitted.
     pub fn inline(aligner: Arc<Aligner>) -> Self {
         Self::Inline { aligner, answers: VecDeque::new() }
     }
@@ -68,7 +69,7 @@ impl BackgroundRunner {
         }
     }
 
-    /// The answer to a job that is over.
+    /// The answer to a finished job.
     ///
     /// # Errors
     /// The thread has panicked.

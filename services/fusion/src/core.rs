@@ -1,8 +1,8 @@
 //! The core of fusion: events with their times in, tracks and plans out. It holds no port, no clock
 //! and no thread of its own.
 //!
-//! [`Core::on`] notes an event. [`Core::step`] does the most urgent piece of work and hands out
-//! what it led to; it is called again until there is nothing left to do.
+//! [`Core::on`] records an event. [`Core::step`] does the most urgent piece of work and returns its
+//! output. It is called again until there is no work left.
 
 pub(crate) mod events;
 mod measuring;
@@ -34,7 +34,7 @@ use crate::snapshot::Snapshot;
 use crate::tracker::Tracker;
 use crate::work::Work;
 
-/// What fusion keeps between events. `P` is the hold on a view's pixels.
+/// State of fusion between events. `P` is the hold on a view's pixels.
 pub struct Core<P> {
     schedule: Schedule,
     pub(crate) frames: Frames<P>,
@@ -42,17 +42,18 @@ pub struct Core<P> {
     tracker: Tracker,
     planner: Planner,
     planning: Planning,
-    /// Answers of the background pass, and from when on they count, nanoseconds of a virtual clock.
+    /// Answers of the background pass, with the times from which they count, nanoseconds of a
+    /// virtual clock.
     answers: VecDeque<(i64, Box<Trial>)>,
     notices: Vec<Notice>,
-    /// `None` where any frame may come.
+    /// Check of messages in flight. `None` where any frame may come.
     guard: Option<Guard>,
-    /// What happens to the core, noted so that a flight can be repeated; `None` where nobody asks.
+    /// Journal of the core's calls, so that a flight can be repeated; `None` without a reader.
     journal: Option<Journal>,
 }
 
 impl<P: AsRef<[u8]>> Core<P> {
-    /// A core that has received nothing yet.
+    /// Creates a core before the first event.
     pub(crate) fn new(
         schedule: Schedule,
         frames: Frames<P>,
@@ -74,12 +75,12 @@ impl<P: AsRef<[u8]>> Core<P> {
         }
     }
 
-    /// Refuses what cannot be true in flight with `workers` detection workers.
+    /// Refuses messages that are impossible in flight with `workers` detection workers.
     pub(crate) fn guarded(self, workers: u32) -> Self {
         Self { guard: Some(Guard::new(workers)), ..self }
     }
 
-    /// Notes each event, step and message from now on in a journal.
+    /// From now on, records each event, step and message in a journal.
     pub fn journaled(self, journal: Journal) -> Self {
         Self { journal: Some(journal), ..self }
     }
@@ -89,7 +90,7 @@ impl<P: AsRef<[u8]>> Core<P> {
         self.journal.as_mut()
     }
 
-    /// What a successor needs to go on.
+    /// State for a successor.
     pub(crate) fn snapshot(&self) -> Snapshot {
         let published = |target| self.frames.last_published(target);
         let (targets, ego, exposure) = self.tracker.saved(published);
@@ -97,9 +98,9 @@ impl<P: AsRef<[u8]>> Core<P> {
         Snapshot { ended, targets, ego, exposure, planning: self.planning.clone() }
     }
 
-    /// Goes on from another process's snapshot, and returns the names of the bodies whose tracks go
-    /// on. It is called before the first event. Poses that have left do not leave again in any
-    /// case.
+    /// Continues from another process's snapshot, and returns the names of the bodies whose tracks
+    /// continue. It is called before the first event. Published poses are not published again in
+    /// any case.
     pub(crate) fn resume(&mut self, snapshot: Snapshot) -> Vec<String> {
         let Snapshot { ended, targets, ego, exposure, planning } = snapshot;
         self.frames.begin_after(ended);
@@ -113,7 +114,7 @@ impl<P: AsRef<[u8]>> Core<P> {
         self.tracker.resume(targets, ego, exposure)
     }
 
-    /// Whether the view of a record has come.
+    /// Whether the view of a record has arrived.
     pub(crate) fn has_view_of(&self, record: &Record) -> bool {
         let frame = self.frames.waiting_frame(record.header.stamp.order());
         frame.is_some_and(|frame| frame.views.contains_key(&record.header.view_index))
@@ -124,22 +125,22 @@ impl<P: AsRef<[u8]>> Core<P> {
         &self.tracker
     }
 
-    /// Notes from now on what is decided of a target.
+    /// From now on, records the decisions about a target.
     pub fn keep_account(&mut self, target: usize) {
         self.tracker.keep_account(target);
     }
 
-    /// What was decided of the target since this was asked last, with the frame of each decision.
+    /// The decisions about the target since the last call, with the frame of each.
     pub fn take_account(&mut self) -> Vec<(FrameOrder, AccountEntry)> {
         self.tracker.take_account()
     }
 
-    /// Whether a background pass may still find something in a frame that is open.
+    /// Whether a background pass may still have a result in an open frame.
     pub(crate) fn awaits_background(&self) -> bool {
         self.tracker.awaited().is_some_and(|order| self.frames.get(order).is_some())
     }
 
-    /// Takes in an event that came at `now_ns`, or returns why it is refused.
+    /// Handles an event that arrived at `now_ns`, or returns the reason for its refusal.
     pub fn on(&mut self, event: Event<P>, now_ns: i64) -> Option<String> {
         if let Some(journal) = &mut self.journal {
             journal.note_event(&event, now_ns);
@@ -197,7 +198,7 @@ impl<P: AsRef<[u8]>> Core<P> {
         self.frames.answer(order, view_index, shows, !self.schedule.is_flight());
     }
 
-    /// Why an event is refused.
+    /// Reason why an event is refused.
     fn refusal(&mut self, event: &Event<P>, now_ns: i64) -> Option<String> {
         let guard = self.guard.as_mut()?;
         let planned = |plan_id| self.frames.views_of_plan(plan_id);
@@ -211,8 +212,8 @@ impl<P: AsRef<[u8]>> Core<P> {
         }
     }
 
-    /// In flight a rotation counts at once. Otherwise it counts when its frame is complete: what a
-    /// frame says must not depend on who is faster.
+    /// In flight a rotation counts at once. Otherwise it counts when its frame is complete, so that
+    /// results do not depend on the speed of other stages.
     fn on_rotation(&mut self, rotation: Rotation) {
         match self.schedule.is_flight() {
             true => self.turn_camera(&rotation),
@@ -251,7 +252,7 @@ impl<P: AsRef<[u8]>> Core<P> {
         outputs
     }
 
-    /// Notes that what the last step led to is written for the time `now_ns`.
+    /// Records that the output of the last step is written for the time `now_ns`.
     pub fn say(&mut self, outputs: &Outputs, now_ns: i64) {
         let messages = outputs.messages();
         if let Some(journal) = &mut self.journal
@@ -302,12 +303,13 @@ impl<P: AsRef<[u8]>> Core<P> {
         }
     }
 
-    /// How much time the passes of a frame may take.
+    /// Time budget of the passes of a frame.
     fn budget(&self, stamp: &FrameStamp) -> TimeBudget {
         self.schedule.budget(stamp, self.frames.newest.as_ref())
     }
 
     /// Publishes what a background pass found, if its frame is still open. Otherwise it has
+    /// Publishes the result of a background pass if its frame is still open. Otherwise it has
     /// corrected the track, from which the next frame benefits.
     fn take_answer(&mut self, answer: Trial, outputs: &mut Outputs) {
         let frame = self.tracker.under_way().and_then(|order| self.frames.get_mut(order));
@@ -316,9 +318,9 @@ impl<P: AsRef<[u8]>> Core<P> {
         self.publish_updates(order, vec![update], None, outputs);
     }
 
-    /// Nothing more is waited for in a frame. By a virtual clock, its regions are measured now, as
-    /// in flight while its tiles are searched, and then it is the time at which flight would be
-    /// done with them.
+    /// Closes a frame to further messages. With a virtual clock, its regions are measured now, as
+    /// in flight during the search of its tiles. Then the clock advances to the time at which
+    /// flight would have measured them.
     fn complete_frame(&mut self, order: FrameOrder, is_overdue: bool, outputs: &mut Outputs) {
         self.frames.complete(order);
         while let Some(rotation) = self.frames.take_rotation(order) {
@@ -341,7 +343,7 @@ impl<P: AsRef<[u8]>> Core<P> {
         }
     }
 
-    /// Takes in the answers that are over by a virtual clock.
+    /// Handles the answers that are finished by a virtual clock.
     fn take_answers(&mut self, outputs: &mut Outputs) {
         let Schedule::Virtual(clock) = &self.schedule else { return };
         let clock = clock.clone();
@@ -354,8 +356,8 @@ impl<P: AsRef<[u8]>> Core<P> {
         }
     }
 
-    /// Hands out the background pass that was asked for just now. One is under way at a time, so a
-    /// step hands out one at most.
+    /// Returns the background pass that was just requested. Only one runs at a time, so a step
+    /// returns one at most.
     fn begin_background(&mut self, outputs: &mut Outputs) {
         let Some(job) = self.tracker.take_job() else { return };
         if let Schedule::Virtual(clock) = &mut self.schedule {
@@ -364,19 +366,19 @@ impl<P: AsRef<[u8]>> Core<P> {
         outputs.job = Some(job);
     }
 
-    /// Ends a frame of which all is measured, and makes the next plan.
+    /// Ends a measured frame, and makes the next plan.
     fn end_frame(&mut self, order: FrameOrder, outputs: &mut Outputs) {
         let Some(frame) = self.frames.end(order) else { return };
         let at_s = frame.stamp.exposure_s();
         self.tracker.end_frame(order, at_s, &frame.parts);
-        // Views that came were noted when they did.
+        // Views that arrived were already recorded.
         self.planning.end_frame(at_s, frame.purposes_without_view(), frame.first_hit());
         outputs.tracks.push(TrackMessage::last_of(frame.stamp));
         self.plan(Some(frame.stamp), outputs);
         outputs.taken_ns = frame.end.map(|end| end.taken_ns);
     }
 
-    /// Sends estimates of a frame's targets: the one place where a pose leaves.
+    /// Sends estimates of a frame's targets: the one place where a pose is published.
     fn publish(&mut self, stamp: &FrameStamp, updates: Vec<Outgoing>, outputs: &mut Outputs) {
         if let Some(frame) = self.frames.get_mut(stamp.order()) {
             updates.iter().for_each(|((target, _), _)| drop(frame.held.best.remove(target)));

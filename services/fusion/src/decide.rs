@@ -1,20 +1,19 @@
-//! All decisions about poses: which one of those that were tried is the body's, and whether it is
-//! of use by itself.
+//! All decisions about poses: which tried pose is the body's, and whether it is usable by itself.
 //!
-//! A decision is a value. Passes collect [`Hypothesis`]es and [`CornerPose`]s, a function of this
-//! module gives the [`Decision`] about them, and the account and `flockeye explain` print it.
+//! A decision is a value. Passes collect [`Hypothesis`]es and [`CornerPose`]s, and a function of
+//! this module returns the [`Decision`] about them. The account and `flockeye explain` print it.
 //! Explain compares with the limits alone, to name the one that a refused pose missed.
 //!
-//! The limits are formulas of `acceptance.rs` in imaging, and within fusion only this module asks
-//! for them. They stay there because alignment needs two of them. Its search round a prediction
-//! ends at the first accepted pose. Each alignment states whether it is precise before the factor
-//! of the picture's coding.
+//! The limits are formulas of `acceptance.rs` in imaging, and within fusion only this module uses
+//! them. They stay there because alignment needs two of them. Its search round a prediction ends at
+//! the first accepted pose. Each alignment states whether it is precise before the factor of the
+//! picture's coding.
 //!
 //! | module | what it decides |
 //! | --- | --- |
 //! | this one | which hypothesis is the body's pose |
 //! | [`markers`] | whether decoded markers support or contradict a pose |
-//! | [`outcome`] | what becomes of a measured pose: publication, a correction of the track, or nothing |
+//! | [`outcome`] | the outcome of a measured pose: publication, a correction of the track, or nothing |
 
 pub(crate) mod markers;
 pub(crate) mod outcome;
@@ -34,25 +33,24 @@ use crate::policy::TimeBudget;
 
 /// Log of the prior probability of a pose beyond the tilt limit: one in a thousand.
 const TILTED_LOG: f64 = -6.9;
-/// Standard deviation, about each axis, of the turn of right poses from their tracks' predictions,
+/// Standard deviation about each axis of a right pose's rotation from its track's prediction,
 /// radians.
 const TURN_SIGMA_RAD: f64 = 0.15;
-/// Standard deviation of the turn from its start, radians, of a pose that alignment finds where no
-/// body is. Half of those with log odds above 1 had turned by more than 0.46
-/// (docs/results/decisions.md).
+/// Standard deviation of a false pose's rotation from its start, radians, where no body is. Half of
+/// those with log odds above 1 had turned by more than 0.46 (docs/results/decisions.md).
 const FALSE_TURN_SIGMA_RAD: f64 = 0.3;
-/// Decoded markers that must agree on a pose where neither a track nor alignment supports it. One
-/// marker may be a misread square, and its mirror pose cannot be told from it.
+/// Least number of decoded markers that fit a pose which neither a track nor alignment supports.
+/// One marker may be a misread square, and its mirror pose looks the same.
 pub(crate) const MARKERS_WITHOUT_TRACK: usize = 2;
 
-/// What was decided about the poses that a pass has tried.
+/// Decision about the poses that a pass has tried.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Decision {
     /// The body's pose.
     pub chosen: Option<PoseIndex>,
     /// Indices of the hypotheses that compete with the likeliest one, the likeliest first.
     pub rivals: Vec<usize>,
-    /// What was decided of each hypothesis, and why, in the order of the hypotheses.
+    /// Verdict on each hypothesis, in their order.
     pub reasons: Vec<Verdict>,
 }
 
@@ -65,28 +63,28 @@ pub enum PoseIndex {
     Corners(usize),
 }
 
-/// What was decided of a hypothesis.
+/// Verdict on a hypothesis.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Verdict {
-    /// The hypothesis is the body's pose, as far as the picture says.
+    /// The hypothesis is the body's pose, from the picture.
     Accepted,
-    /// The hypothesis would do, and another one was more likely.
+    /// The hypothesis would be accepted, but another one was more likely.
     LessLikely,
-    /// The picture and all else say too little for it.
+    /// The evidence from the picture and all else is too low.
     BelowThreshold,
     /// The hypothesis is likely. Its standard deviations are too large to start a track with.
     Imprecise,
-    /// The hypothesis is likely, and others are too likely beside it: its lead, in log odds.
+    /// The hypothesis is likely, and so are others: its lead, in log odds.
     Rivals(f64),
     /// A rival of the likeliest one.
     Rival,
-    /// One facet alone tells it, and starts that the background pass will try may tell another.
+    /// Only one facet supports it, and starts of the background pass may find support by another.
     OneFacetAlone,
-    /// The pose is not where the track can be.
+    /// The pose contradicts the track.
     OutsideGate,
     /// Nothing could be compared.
     NotAligned,
-    /// The search found nothing that is accepted.
+    /// The search found no acceptable pose.
     NothingFound,
 }
 
@@ -107,7 +105,7 @@ impl Decision {
         }
     }
 
-    /// The chosen hypothesis of those that were tried.
+    /// The chosen hypothesis of `tried`.
     pub fn chosen_of<'t>(&self, tried: &'t [Hypothesis]) -> Option<&'t Alignment> {
         tried.get(self.hypothesis()?)?.alignment()
     }
@@ -121,7 +119,7 @@ impl Decision {
         self.reasons.get_mut(index).into_iter().for_each(|reason| *reason = verdict);
     }
 
-    /// Returns this decision with the chosen hypothesis refused for a reason.
+    /// Returns this decision with the chosen hypothesis refused for this reason.
     pub fn refused(mut self, verdict: Verdict) -> Self {
         if let Some(index) = self.hypothesis() {
             self.give_reason(index, verdict);
@@ -131,8 +129,8 @@ impl Decision {
 }
 
 /// Log of the likelihood ratio of a pose's turn from its track's prediction, if it is right against
-/// if it is false. A neighbour that was out of sight for a third of a second may have turned by as
-/// much as its mirror pose, and the filter's gate allows for that.
+/// if it is false. In a third of a second out of sight, a neighbour may turn by as much as its
+/// mirror pose. The filter's gate allows for that.
 pub fn turn_log(found: &Alignment, predicted: &Isometry3<f64>) -> f64 {
     let turn_rad = found.camera_from_markers.rotation.angle_to(&predicted.rotation);
     // Two normal densities in three axes.
@@ -140,7 +138,7 @@ pub fn turn_log(found: &Alignment, predicted: &Isometry3<f64>) -> f64 {
     density(TURN_SIGMA_RAD) - density(FALSE_TURN_SIGMA_RAD)
 }
 
-/// What the tilt of a pose adds to its log odds; `is_within_limit`: `None` where no limit is known.
+/// Log odds from the tilt of a pose; `is_within_limit` is `None` if no limit is known.
 pub(crate) fn tilt_log(is_within_limit: Option<bool>) -> f64 {
     if is_within_limit == Some(false) { TILTED_LOG } else { 0.0 }
 }
@@ -153,16 +151,16 @@ fn is_predicted(hypothesis: &Hypothesis) -> bool {
         .is_some_and(|(found, turn)| found.is_accepted_with_track_prior(turn))
 }
 
-/// Whether markers were decoded where a pose has them that is too weak alone.
+/// Whether markers were decoded at the places of a pose that is too weak alone.
 fn is_marked(hypothesis: &Hypothesis) -> bool {
-    // The prediction may speak against a marker's mirror pose. It does not make up for what the
-    // picture lacks.
+    // The prediction may reject a marker's mirror pose. It does not replace missing evidence in the
+    // picture.
     let prior_log_odds = hypothesis.turn_log.map_or(0.0, |turn| turn.min(0.0));
     let found = hypothesis.alignment().filter(|_| hypothesis.is_marked);
     found.is_some_and(|found| found.is_accepted_with_markers(prior_log_odds))
 }
 
-/// Whether the picture alone says enough for a pose.
+/// Whether the evidence in the picture alone is enough for a pose.
 fn is_accepted(hypothesis: &Hypothesis) -> bool {
     hypothesis.alignment().is_some_and(Alignment::is_accepted)
 }
@@ -171,18 +169,18 @@ fn has_precise_pose(hypothesis: &Hypothesis) -> bool {
     hypothesis.alignment().is_some_and(|found| found.is_precise)
 }
 
-/// Whether several facets tell a pose.
+/// Whether several facets support a pose.
 fn is_unambiguous(hypothesis: &Hypothesis) -> bool {
     hypothesis.alignment().is_some_and(|found| found.evidence.is_unambiguous())
 }
 
-/// Whether a pose near a prediction needs no other beside it: it is precise, and likely by itself
-/// and by the prediction.
+/// Whether a pose near a prediction needs no alternative: it is precise, and likely by itself and
+/// by the prediction.
 pub(crate) fn is_certain(hypothesis: &Hypothesis) -> bool {
     has_precise_pose(hypothesis) && is_accepted(hypothesis) && is_predicted(hypothesis)
 }
 
-/// Decides about the pose that the prediction of a confirmed track alone led to.
+/// Decides about the pose that started from the prediction of a confirmed track alone.
 pub(crate) fn of_direct_pass(tried: &Hypothesis) -> Decision {
     let mut decision = Decision::nothing(std::slice::from_ref(tried));
     if is_certain(tried) {
@@ -193,8 +191,8 @@ pub(crate) fn of_direct_pass(tried: &Hypothesis) -> Decision {
     decision
 }
 
-/// Decides about poses of a body that a confirmed track predicts. The certain one is chosen. Where
-/// none is, it is the likeliest that the prediction or decoded markers support, precise or not.
+/// Decides about poses of a body that a confirmed track predicts. The certain one is chosen.
+/// Otherwise it is the likeliest that the prediction or decoded markers support, precise or not.
 pub(crate) fn of_tracked(tried: &[Hypothesis]) -> Decision {
     let mut decision = Decision::nothing(tried);
     let mut best: Option<(f64, usize)> = None;
@@ -215,7 +213,7 @@ pub(crate) fn of_tracked(tried: &[Hypothesis]) -> Decision {
     decision
 }
 
-/// Whether no other start need be tried for an untracked body.
+/// Whether no other start is needed for an untracked body.
 pub(crate) fn ends_competition(last: &Hypothesis, budget: TimeBudget) -> bool {
     budget != TimeBudget::Unlimited
         && is_accepted(last)
@@ -228,13 +226,13 @@ fn is_likely(hypothesis: &Hypothesis) -> bool {
     is_accepted(hypothesis) || is_marked(hypothesis)
 }
 
-/// The hypotheses that led to a pose: their indices and log odds.
+/// The hypotheses with a pose: their indices and log odds.
 fn competitors(tried: &[Hypothesis]) -> impl Iterator<Item = (usize, f64)> {
     let all = tried.iter().enumerate();
     all.filter_map(|(index, hypothesis)| Some((index, hypothesis.log_odds()?)))
 }
 
-/// The likeliest precise pose of an untracked body. Its mirror pose is to be tried too.
+/// The likeliest precise pose of an untracked body, whose mirror pose must be tried too.
 pub(crate) fn likeliest(tried: &[Hypothesis]) -> Option<usize> {
     competitors(tried)
         .filter(|(index, _)| has_precise_pose(&tried[*index]) && is_likely(&tried[*index]))
@@ -243,8 +241,8 @@ pub(crate) fn likeliest(tried: &[Hypothesis]) -> Option<usize> {
 }
 
 /// Decides about poses of a body that no confirmed track predicts. The [`likeliest`] one is chosen
-/// if it is much likelier than all others together. Where one facet alone may not decide yet
-/// (`needs_facets`), several must tell it.
+/// if it is much likelier than all others together. If one facet alone may not decide yet
+/// (`needs_facets`), several must support it.
 pub(crate) fn of_untracked(
     tried: &[Hypothesis],
     likeliest: Option<usize>,
@@ -263,7 +261,7 @@ pub(crate) fn of_untracked(
     let mut rivals: Vec<(usize, f64)> =
         competitors(tried).filter(|(other, _)| !is_same(best, *other)).collect();
     rivals.sort_by(|(_, one), (_, other)| other.total_cmp(one));
-    // Starts that led to the same pose are one rival: the most likely of them.
+    // Starts that led to the same pose are one rival: the most likely of them counts.
     let mut distinct: Vec<(usize, f64)> = Vec::new();
     for rival in rivals {
         if !distinct.iter().any(|(other, _)| is_same(*other, rival.0)) {
@@ -284,20 +282,20 @@ pub(crate) fn of_untracked(
     decision
 }
 
-/// Whether two poses are the same for whoever uses them: neither is false if the other one is true.
+/// Whether two poses are equivalent: neither is false if the other one is true.
 fn is_same(one: &Hypothesis, other: &Hypothesis) -> bool {
     one.alignment()
         .zip(other.alignment())
         .is_some_and(|(one, other)| !is_false(&one.camera_from_markers, &other.camera_from_markers))
 }
 
-/// Whether nothing need be searched for round the prediction: a precise pose is chosen.
+/// Whether no search around the prediction is needed, because a precise pose is chosen.
 pub(crate) fn is_precise(decision: &Decision, tried: &[Hypothesis]) -> bool {
     decision.chosen_of(tried).is_some_and(|found| found.is_precise)
 }
 
-/// Decides again when the last hypothesis is what a search round the prediction found: the likelier
-/// one of that and of what was chosen before.
+/// Decides again if the last hypothesis is the result of a search around the prediction. The
+/// likelier one of that and the previous choice is chosen.
 pub(crate) fn with_search(
     mut decision: Decision,
     tried: &[Hypothesis],
@@ -322,8 +320,8 @@ pub(crate) fn with_search(
     decision
 }
 
-/// Whether a pose that the corners give would do as a measurement: if enough of them agree and it
-/// is certain enough. With a confirmed track `min_markers` must agree.
+/// Whether a pose from corners is acceptable as a measurement: if enough markers fit and its
+/// covariance is small enough. With a confirmed track `min_markers` must fit.
 pub(crate) fn of_corners(
     solution: &PoseSolution,
     is_confirmed: bool,
@@ -343,7 +341,7 @@ pub(crate) fn of_corners(
     }
 }
 
-/// Decides between the picture and the corners alone: a precise pose comes first, then one of the
+/// Chooses between the picture and the corners alone: a precise pose comes first, then one from the
 /// picture.
 pub(crate) fn with_corners(
     decision: Decision,
@@ -365,7 +363,7 @@ pub(crate) fn with_corners(
     }
 }
 
-/// The measurement that was chosen, with so many markers decoded.
+/// The chosen measurement, with this number of decoded markers.
 pub(crate) fn measurement(
     decision: &Decision,
     tried: &[Hypothesis],
@@ -390,7 +388,7 @@ pub(crate) fn measurement(
     }
 }
 
-/// Whether a chosen pose owes nothing to a track's prediction, so that it may start a track.
+/// Whether a chosen pose is independent of a track's prediction, so that it may start a track.
 pub(crate) fn is_independent(
     decision: &Decision,
     tried: &[Hypothesis],

@@ -1,4 +1,4 @@
-//! How long frames are exposed: as the configuration says, or as the blur of moving bodies shows.
+//! Exposure time of frames: from the configuration, or from the blur of moving bodies.
 
 use std::collections::BTreeMap;
 
@@ -6,17 +6,17 @@ use std::collections::BTreeMap;
 /// [`Alignment::stretch_px2`](flockeye_imaging::align::Alignment::stretch_px2)), pixels of the
 /// sphere image squared.
 const STRETCH_SIGMA_PX2: f64 = 0.3;
-/// The square of the exposure is used once its standard deviation is this share of it.
+/// Largest relative standard deviation of the square of the exposure for its use.
 const MAX_UNCERTAINTY: f64 = 0.3;
-/// What was seen loses this share of its weight with each frame: exposures change with the light.
+/// Loss of weight of earlier measurements with each frame, because exposures change with the light.
 const FORGETTING: f64 = 0.01;
-/// Longer stretches are not used, pixels of the sphere image squared (a path of 4 px): a Gaussian
-/// stretches more than the path that it stands for where that is as long as a marker's cells.
+/// Longest stretch that is used, pixels of the sphere image squared (a path of 4 px). For paths as
+/// long as a marker's cells, a Gaussian is longer than the path that it models.
 const MAX_STRETCH_PX2: f64 = 1.3;
-/// Longest exposure that is assumed, seconds.
+/// Longest assumed exposure, seconds.
 const MAX_EXPOSURE_S: f64 = 0.05;
 
-/// How long frames are exposed.
+/// Exposure time of frames.
 ///
 /// A body that moves at `s` radians per second during an exposure `T` is blurred along its path by
 /// a variance of (s T)^2 / 12. The lens blurs alike in all directions, so the stretch shows the
@@ -25,19 +25,18 @@ const MAX_EXPOSURE_S: f64 = 0.05;
 pub(crate) struct ExposureEstimate {
     known_s: Option<f64>,
     pixels_per_radian: f64,
-    /// What blur has shown, over targets and frames: the sum of the stretch, radians squared, times
-    /// s^2.
+    /// Sum of the stretch, radians squared, times s^2, over targets and frames.
     stretch: f64,
     /// The sum of s^4.
     weight: f64,
-    /// What the open frame adds, by target, so that the sums do not depend on who was measured
-    /// first.
+    /// Sums of the open frame by target, so that the result does not depend on the order of
+    /// measurements.
     pending: BTreeMap<usize, (f64, f64)>,
 }
 
 impl ExposureEstimate {
-    /// Exposures of a camera whose sphere image has this resolution; `known_s` is the exposure
-    /// where the configuration states it, seconds.
+    /// Exposure time of a camera whose sphere image has this resolution; `known_s` is the exposure
+    /// in the configuration, seconds.
     pub(crate) fn new(known_s: Option<f64>, pixels_per_radian: f64) -> Self {
         let pending = BTreeMap::new();
         Self { known_s, pixels_per_radian, stretch: 0.0, weight: 0.0, pending }
@@ -48,7 +47,7 @@ impl ExposureEstimate {
         self.known_s.or_else(|| self.learned_s()).unwrap_or_default()
     }
 
-    /// What the blur shows, if it shows anything yet.
+    /// Exposure from the blur, if it is precise enough.
     fn learned_s(&self) -> Option<f64> {
         let squared = 12.0 * self.stretch / self.weight;
         let sigma_rad2 = STRETCH_SIGMA_PX2 / self.pixels_per_radian.powi(2);
@@ -57,8 +56,8 @@ impl ExposureEstimate {
         is_known.then(|| squared.sqrt().min(MAX_EXPOSURE_S))
     }
 
-    /// A target that moved at this rate, radians per second, was blurred along its motion by so
-    /// much more than across it, pixels of the sphere image squared.
+    /// Adds a target that moved at this rate, radians per second. The stretch is the variance of
+    /// its blur along the motion less that across it, pixels of the sphere image squared.
     pub(crate) fn note(&mut self, target: usize, stretch_px2: f64, rate: f64) {
         let stretch = stretch_px2 / self.pixels_per_radian.powi(2);
         if stretch_px2 < MAX_STRETCH_PX2 && stretch.is_finite() && rate.is_finite() {
@@ -66,12 +65,12 @@ impl ExposureEstimate {
         }
     }
 
-    /// The sums of stretch and weight, for the process after this one.
+    /// The sums of stretch and weight, for the next process.
     pub(crate) fn learned(&self) -> (f64, f64) {
         (self.stretch, self.weight)
     }
 
-    /// Goes on from what another process has learned.
+    /// Continues from the sums of another process.
     pub(crate) fn resume(&mut self, (stretch, weight): (f64, f64)) {
         if stretch.is_finite() && weight.is_finite() {
             (self.stretch, self.weight) = (stretch, weight);

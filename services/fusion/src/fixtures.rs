@@ -1,4 +1,4 @@
-//! What tests of fusion share: bodies, poses, records, and trackers that have seen them.
+//! Fixtures of fusion's tests: bodies, poses, records, and trackers with measurements.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, missing_docs, reason = "of the drawings")]
 
@@ -59,7 +59,7 @@ pub fn with_view<T>(pose: &Isometry3<f64>, by: impl FnOnce(&BestView<'_>) -> T) 
     by(&BestView { picture, view_index: 0, agreeing: 0, rays_m: f64::INFINITY })
 }
 
-/// How far a pose is off, metres.
+/// Position error of a pose, metres.
 pub fn error_m(found: &Isometry3<f64>, truth: &Isometry3<f64>) -> f64 {
     (found.translation.vector - truth.translation.vector).norm()
 }

@@ -1,5 +1,5 @@
-//! A frame as one value, from the first message about it until it ends: its phase, its views and
-//! records, and each target's part in it.
+//! A frame as one value, from the first message about it until its end: its phase, views, records,
+//! and each target's part in it.
 
 pub(crate) mod frames;
 pub(crate) mod parts;
@@ -21,14 +21,14 @@ use crate::record::Record;
 use crate::target::Target;
 use crate::work::Work;
 
-/// How far a frame has come.
+/// Phase of a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Phase {
-    /// Views, records or its end may still come.
+    /// Views, records or its end may still arrive.
     Open,
-    /// Nothing more is waited for, and its targets are to be measured a last time.
+    /// No more messages are awaited, and its targets await their last measurement.
     Complete,
-    /// Its targets are measured, but for those at places that look like a body.
+    /// Its targets are measured, except those at places that look like a body.
     Measured,
 }
 
@@ -36,21 +36,21 @@ pub(crate) enum Phase {
 #[derive(Debug)]
 pub(crate) struct OpenFrame<P> {
     pub(crate) stamp: FrameStamp,
-    /// How far it has come.
+    /// Its phase.
     pub(crate) phase: Phase,
-    /// The views that have come, by their place in the plan.
+    /// The views that have arrived, by their place in the plan.
     pub(crate) views: BTreeMap<u32, ViewHeader>,
     pub(crate) records: BTreeMap<u32, Record>,
-    /// How rectification ended it, once it has.
+    /// Its end message from rectification, once it has arrived.
     pub(crate) end: Option<FrameEnd>,
     /// Views whose pixels are still needed.
     pub(crate) held: HeldViews<P>,
     /// Views of places that look like a body.
     pub(crate) places: Places,
     pub(crate) parts: Vec<Part>,
-    /// The number of the plan that was followed; 0: rectification swept on its own.
+    /// Number of the plan that it follows; 0: rectification swept on its own.
     plan_id: u64,
-    /// The plan that the frame follows, where this process made it.
+    /// The plan that the frame follows, if this process made it.
     plan: Option<Rc<Plan>>,
     deadline_ns: i64,
     /// Regions of interest that wait for the direct pass: their arrivals, which rise with each
@@ -58,9 +58,9 @@ pub(crate) struct OpenFrame<P> {
     regions: VecDeque<(u64, u32)>,
     /// Records that wait for the corner pass over their regions, by the views' places in the plan.
     pub(crate) searched: Vec<u32>,
-    /// What views show whose records came before the direct pass has seen them.
+    /// Targets in views whose records arrived before their direct pass.
     unseen: Vec<(u32, Vec<(usize, ViewQuality)>)>,
-    /// What direct passes found, where it waits until the frame is complete.
+    /// Results of direct passes that wait until the frame is complete.
     pub(crate) found: Vec<Outgoing>,
 }
 
@@ -91,15 +91,14 @@ impl<P> OpenFrame<P> {
         }
     }
 
-    /// Whether rectification has ended it and every view that it issued was answered.
+    /// Whether its end has arrived and every issued view was answered.
     fn is_whole(&self) -> bool {
         self.end.is_some_and(|end| {
             self.records.range(..end.views_issued).count() == end.views_issued as usize
         })
     }
 
-    /// What is to be done next in it, as far as that does not depend on the time and on other
-    /// frames.
+    /// The next work in it, as far as that does not depend on the time and on other frames.
     fn next_work(&self) -> Option<Work> {
         let order = self.stamp.order();
         if let Some((arrival, _)) = self.regions.front() {
@@ -115,7 +114,7 @@ impl<P> OpenFrame<P> {
         }
     }
 
-    /// Why a view was cut: as planned or, where rectification followed no plan of this process, as
+    /// Purpose of a view: as planned or, where rectification followed no plan of this process, as
     /// the view itself states.
     pub(crate) fn purpose_of(&self, view_index: u32) -> Option<Purpose> {
         match &self.plan {
@@ -129,7 +128,7 @@ impl<P> OpenFrame<P> {
     }
 
     /// The views whose records count, in plan order. With the rule `first_hit` those up to the
-    /// first hit: how many workers had searched beyond it depends on time.
+    /// first hit, because the number of searches beyond it depends on time.
     pub(crate) fn counted_views(&self) -> impl Iterator<Item = u32> {
         let mut records = self.records.iter();
         let is_last =
@@ -138,21 +137,21 @@ impl<P> OpenFrame<P> {
         self.records.range(..=last).map(|(view_index, _)| *view_index)
     }
 
-    /// Why those views were cut that were searched and have not come here.
+    /// Purposes of those views that were searched and have not arrived here.
     pub(crate) fn purposes_without_view(&self) -> impl Iterator<Item = Purpose> {
         let missing = self.records.keys().filter(|index| !self.views.contains_key(index));
         missing.filter_map(|index| self.purpose_of(*index))
     }
 
-    /// Why the first view was cut in which a marker was found.
+    /// Purpose of the first view with a marker.
     pub(crate) fn first_hit(&self) -> Option<Purpose> {
         let mut records = self.records.iter();
         let (view_index, _) = records.find(|(_, record)| record.header.hits > 0)?;
         self.purpose_of(*view_index)
     }
 
-    /// How well a view shows the `targets` that it is the region of, or shows markers of. Targets
-    /// whose pose in the frame has left need no view.
+    /// Scores of a view for the `targets` of its region or of its markers. Targets whose pose in
+    /// the frame was published need no view.
     pub(crate) fn qualities(
         &self,
         view_index: u32,
@@ -174,14 +173,15 @@ impl<P> OpenFrame<P> {
         unpublished(&self.parts).filter_map(quality).collect()
     }
 
-    /// Takes out what direct passes found, by target: the order must not depend on who was faster.
+    /// Removes and returns the results of direct passes, by target, so that the order does not
+    /// depend on their speed.
     pub(crate) fn take_found(&mut self) -> Vec<Outgoing> {
         let mut found = std::mem::take(&mut self.found);
         found.sort_by_key(|((target, _), _)| *target);
         found
     }
 
-    /// What `by` makes of the frame and of the targets' parts in it, which it may change.
+    /// Calls `by` with the frame and the targets' parts in it, which it may change.
     pub(crate) fn with_parts<T>(&mut self, by: impl FnOnce(&Self, &mut [Part]) -> T) -> T {
         let mut parts = std::mem::take(&mut self.parts);
         let made = by(self, &mut parts);

@@ -1,4 +1,4 @@
-//! Poses of a body that were tried, with all that a decision about them needs.
+//! Tried poses of a body, with all data for a decision.
 
 use flockeye_geometry::pose::PoseSolution;
 use flockeye_imaging::align::{AlignError, Alignment};
@@ -9,18 +9,18 @@ use nalgebra::Isometry3;
 pub struct Hypothesis {
     /// Source of the start.
     pub source: StartSource,
-    /// What alignment found, or why it found nothing.
+    /// Result of the alignment, or the reason why there is none.
     pub found: Result<Alignment, AlignError>,
-    /// What the turn from the track's prediction adds to the log odds; `None` without a confirmed
+    /// Log odds from the rotation relative to the track's prediction; `None` without a confirmed
     /// track.
     pub turn_log: Option<f64>,
-    /// What is known of how neighbours fly adds to the log odds, where hypotheses compete.
+    /// Log odds from the usual attitude of neighbours, where hypotheses compete.
     pub tilt_log: f64,
-    /// Whether markers were decoded where this pose has them.
+    /// Whether markers were decoded at the places of this pose.
     pub is_marked: bool,
 }
 
-/// Where a hypothesis comes from.
+/// Source of a hypothesis.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum StartSource {
     /// Corners of decoded markers.
@@ -31,23 +31,23 @@ pub enum StartSource {
     Prediction,
     /// The track's prediction, with a coarse fit before the fine one.
     RoughPrediction,
-    /// The direct pass, which has tried the prediction before.
+    /// The direct pass, which tried the prediction before.
     DirectPass,
     /// The mirror pose of another hypothesis.
     Mirror,
-    /// The search round the prediction.
+    /// The search around the prediction.
     Search,
     /// The search in all attitudes at a place that looks like a body.
     Place,
 }
 
 impl Hypothesis {
-    /// A pose of which nothing is known but what alignment found.
+    /// A pose with the result of its alignment alone.
     pub fn of(source: StartSource, found: Result<Alignment, AlignError>) -> Self {
         Self { source, found, turn_log: None, tilt_log: 0.0, is_marked: false }
     }
 
-    /// A pose, and whether markers were decoded where it has them.
+    /// A pose, and whether markers were decoded at its places.
     pub(crate) fn marked(
         source: StartSource,
         found: Result<Alignment, AlignError>,
@@ -61,7 +61,7 @@ impl Hypothesis {
         self.found.as_ref().ok()
     }
 
-    /// The log odds of the picture and of what else counted.
+    /// Log odds of the picture and of the other evidence.
     pub fn log_odds(&self) -> Option<f64> {
         let picture = self.alignment()?.evidence.log_odds;
         Some(picture + self.turn_log.unwrap_or(0.0) + self.tilt_log)
@@ -71,25 +71,25 @@ impl Hypothesis {
 /// A pose from decoded corners.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CornerPose {
-    /// The pose and what supports it.
+    /// The pose and its support.
     pub solution: PoseSolution,
     /// Whether corners and track prefer this pose.
     pub is_chosen: bool,
-    /// Whether the pose would do as the frame's measurement, where the picture gives none.
+    /// Whether the pose is acceptable as the frame's measurement if the picture gives none.
     pub verdict: CornerVerdict,
 }
 
-/// Whether a pose from corners would do as a measurement.
+/// Verdict on a pose from corners as a measurement.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum CornerVerdict {
-    /// The pose would do.
+    /// The pose is acceptable.
     Enough,
-    /// More markers would have to agree.
+    /// Too few markers fit.
     TooFewMarkers {
-        /// The number that is asked for.
+        /// The required number.
         wanted: usize,
     },
-    /// Its standard deviations are too large, all axes together. It may only correct a track.
+    /// Its standard deviations, all axes together, are too large. It may only correct a track.
     TooUncertain {
         /// Metres.
         position_m: f64,

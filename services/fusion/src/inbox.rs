@@ -1,4 +1,4 @@
-//! The ports that fusion reads, and in which order it reads them.
+//! The input ports of fusion, and the order in which they are read.
 
 use std::collections::VecDeque;
 
@@ -9,7 +9,7 @@ use flockeye_runtime::ports::{Message, PortError, Ports, Sender, Subscriber};
 use crate::core::{Core, Event};
 use crate::record::Record;
 
-/// The ports that fusion reads.
+/// The input ports of fusion.
 pub(crate) struct Inbox {
     /// One lane for each detection worker.
     views: Vec<Subscriber<Views>>,
@@ -17,17 +17,17 @@ pub(crate) struct Inbox {
     frame_ends: Subscriber<FrameEnds>,
     rotations: Subscriber<Rotations>,
     flow: Flow,
-    /// Records of a lossless run that came before their views.
+    /// Records of a lossless run that arrived before their views.
     early: Vec<(Record, Sender)>,
-    /// Ends of frames, with when each came, nanoseconds, and its sender.
+    /// Ends of frames, with their times of arrival, nanoseconds, and their senders.
     ends: VecDeque<(i64, FrameEnd, Sender)>,
-    /// Whether the ends wait until it is known how the camera has turned: in a lossless run with
+    /// Whether the ends wait until the camera's rotation is known: in a lossless run with
     /// egomotion.
     awaits_rotations: bool,
-    /// Whether egomotion was waited for in vain, and nothing has come from it since.
+    /// Whether the wait for egomotion has timed out, and nothing has arrived from it since.
     is_egomotion_away: bool,
     patience_ns: i64,
-    /// The newest frame whose rotation has come.
+    /// The newest frame whose rotation has arrived.
     newest_rotation: Option<FrameOrder>,
 }
 
@@ -48,13 +48,13 @@ impl Inbox {
             awaits_rotations: pipeline.flow() == Flow::Lossless
                 && pipeline.runs(StageName::Egomotion),
             is_egomotion_away: false,
-            // A frame itself is given up later.
+            // A frame itself times out later.
             patience_ns: pipeline.frame_deadline().as_nanos() as i64 / 2,
             newest_rotation: None,
         })
     }
 
-    /// Lets rectification know that it has to wait for this stage where a lane is full. False while
+    /// Signals to rectification that it must wait for this stage where a lane is full. False while
     /// rectification is not there.
     ///
     /// # Errors
@@ -64,11 +64,11 @@ impl Inbox {
         Ok(lanes?.iter().all(|is_published| *is_published))
     }
 
-    /// Gives the core all that has come, at `now_ns`.
+    /// Passes all arrived messages to the core, at `now_ns`.
     ///
-    /// In flight views are taken as they come, as many as the core can hold. In a lossless run
-    /// nothing may depend on who is faster: there each view is taken when its record comes, and the
-    /// others stay where they wait.
+    /// In flight, views are received as they arrive, as many as the core can hold. In a lossless
+    /// run the result must not depend on the speed of stages. There each view is received with its
+    /// record, and the others stay in the lane.
     ///
     /// # Errors
     /// A port that fails.
@@ -109,7 +109,7 @@ impl Inbox {
         Ok(())
     }
 
-    /// When a frame will have waited long enough for its rotation, nanoseconds.
+    /// Timeout of a frame's wait for its rotation, nanoseconds.
     pub(crate) fn next_deadline_ns(&self) -> Option<i64> {
         self.ends.front().map(|(since_ns, ..)| since_ns + self.patience_ns)
     }
@@ -126,7 +126,7 @@ impl Inbox {
             .try_for_each(|lane| self.take_views(core, lane, now_ns, |core| core.frames.is_full()))
     }
 
-    /// Takes the view of a record, which passed before it in its worker's lane.
+    /// Receives the view of a record, which passed before it in its worker's lane.
     fn take_view_of(
         &mut self,
         core: &mut Core<Message<Views>>,
@@ -140,7 +140,7 @@ impl Inbox {
         self.take_views(core, lane, now_ns, |core| core.has_view_of(record))
     }
 
-    /// Takes the views that have come in a lane, until `is_enough`.
+    /// Receives the views that have arrived in a lane, until `is_enough`.
     fn take_views(
         &mut self,
         core: &mut Core<Message<Views>>,
@@ -159,8 +159,8 @@ impl Inbox {
         Ok(())
     }
 
-    /// The next end of a frame that need not wait any more. After a wait in vain no end waits until
-    /// a rotation comes.
+    /// The next end of a frame that need not wait any longer. After a timeout no end waits until a
+    /// rotation arrives.
     fn take_end(&mut self, now_ns: i64) -> Option<(FrameEnd, Sender)> {
         let (since_ns, end, sender) = *self.ends.front()?;
         let is_known = self.newest_rotation >= Some(end.stamp.order());
@@ -177,8 +177,8 @@ impl Inbox {
     }
 }
 
-/// Whether a record's view is still on its way here: rectification had handed it to the worker
-/// before, while it waited for room in this stage's lane.
+/// Whether a record's view is still on its way here: rectification sent it to the worker first,
+/// while it waited for room in this stage's lane.
 fn is_early(core: &Core<Message<Views>>, record: &Record) -> bool {
     !core.has_view_of(record) && !core.frames.is_past(&record.header.stamp)
 }

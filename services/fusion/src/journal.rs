@@ -1,8 +1,8 @@
-//! A journal of all that happens to the core, so that a flight can be repeated from a recording.
+//! Journal of the core's inputs and outputs, so that a flight can be repeated from a recording.
 //!
-//! What the core says is a function of what it was given, of the order, and of the times that it
-//! was told. The core itself notes each call, so none can be left out. A step that found nothing to
-//! do changes nothing, and is not noted.
+//! The core's output is a function of its inputs, their order and their times. The core itself
+//! records each call, so none can be left out. A step without work changes nothing, and is not
+//! recorded.
 
 use std::collections::VecDeque;
 
@@ -12,7 +12,7 @@ use flockeye_contract::{
 
 use crate::core::events::Event;
 
-/// What an event is in a journal.
+/// Kind of an event in a journal.
 pub fn entry_of<P>(event: &Event<P>, at_ns: i64) -> JournalEntry {
     let of = |kind: JournalKind, stamp: &FrameStamp, generation: u32| JournalEntry {
         at_ns,
@@ -45,14 +45,14 @@ pub fn entry_of<P>(event: &Event<P>, at_ns: i64) -> JournalEntry {
     }
 }
 
-/// Entries that wait to be sent, while somebody reads them.
+/// Entries that wait to be sent, while there is a reader.
 #[derive(Debug, Default)]
 pub struct Journal {
     generation: u32,
     is_resumed: bool,
-    /// Whether somebody reads.
+    /// Whether there is a reader.
     is_read: bool,
-    /// Whether the core has heard anything of another stage. What comes before is kept for the
+    /// Whether the core has received anything from another stage. Earlier entries are kept for the
     /// first reader.
     has_heard: bool,
     /// All entries so far, kept or not.
@@ -63,17 +63,18 @@ pub struct Journal {
 }
 
 impl Journal {
-    /// A journal of a process of this generation. `is_resumed`: it goes on where another one was.
+    /// Creates the journal of a process of this generation. `is_resumed`: it continues another
+    /// process.
     pub fn new(generation: u32, is_resumed: bool) -> Self {
         Self { generation, is_resumed, ..Self::default() }
     }
 
-    /// Whether somebody reads from now on.
+    /// Sets whether there is a reader.
     pub fn listen(&mut self, is_read: bool) {
         self.is_read = is_read;
     }
 
-    /// The next message, if somebody reads: when it is full, or when the core is idle.
+    /// The next message for a reader: when it is full, or when the core is idle.
     pub fn take(&mut self, is_idle: bool) -> Option<(JournalHeader, Vec<JournalEntry>)> {
         let is_due = is_idle || self.waiting.len() >= MAX_JOURNAL_ENTRIES;
         if !self.is_read || !is_due || self.waiting.is_empty() {
@@ -96,7 +97,7 @@ impl Journal {
         if self.is_read || is_beginning {
             self.waiting.push_back(entry());
         } else {
-            // What is read must be without gaps.
+            // The entries of a reader must be without gaps.
             self.has_heard = true;
             self.waiting.clear();
         }

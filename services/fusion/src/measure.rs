@@ -1,10 +1,10 @@
-//! The measurement pass: the ways in which a frame can tell where a target is.
+//! The measurement pass: the ways in which a frame can measure a target.
 //!
-//! A pass collects what a frame offers of a target ([`inputs`]), compares the body with the picture
-//! from some starts, and gives a trial with a decision. The tracker takes the chosen pose into the
-//! target's track. There are five kinds of it:
+//! A pass collects a frame's data on a target ([`inputs`]), compares the body with the picture from
+//! some starts, and returns a trial with a decision. The tracker updates the target's track with
+//! the chosen pose. There are five kinds of it:
 //!
-//! | kind | starts from | asks for | runs |
+//! | kind | starts from | requires | runs |
 //! | --- | --- | --- | --- |
 //! | direct | the prediction alone | a track measured in the frame before | when a region of interest has been cut |
 //! | region | markers, squares like them, the prediction | two markers, where no picture decides | when that region has been searched |
@@ -28,9 +28,9 @@ use crate::hypothesis::StartSource;
 use crate::record::Record;
 use crate::target::Target;
 
-/// What differs between the kinds: the rows of the table above.
+/// Differences between the kinds: the rows of the table above.
 impl Pass {
-    /// What alignment starts from, in this order: corners first, because they need no track. Rough
+    /// Starts of the alignment, in this order: corners first, because they need no track. Rough
     /// starts cost most.
     pub(crate) fn starts(self) -> &'static [StartSource] {
         use StartSource::{Corners, DoubtfulSquares, Place, Prediction, RoughPrediction};
@@ -44,7 +44,7 @@ impl Pass {
         }
     }
 
-    /// Whether a target has the track that the pass asks for.
+    /// Whether a target has the track that the pass requires.
     pub(crate) fn allows(self, target: &Target) -> bool {
         match self {
             Self::Direct => target.is_measured(),
@@ -53,33 +53,33 @@ impl Pass {
         }
     }
 
-    /// Decoded markers that must agree where there is a confirmed track but nothing was aligned.
-    /// One is enough where no more can come.
+    /// Least number of fitting decoded markers with a confirmed track, where nothing was aligned.
+    /// One is enough if no more can arrive.
     pub(crate) fn min_markers(self) -> usize {
         if self == Self::Complete { 1 } else { MARKERS_WITHOUT_TRACK }
     }
 }
 
-/// Where a frame is in time.
+/// Place of a frame in time.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct FrameTime {
     /// Its place among all frames.
     pub(crate) order: FrameOrder,
-    /// When it was exposed, seconds.
+    /// Its exposure, seconds.
     pub(crate) at_s: f64,
-    /// How many frames had ended before.
+    /// Number of frames that had ended before.
     pub(crate) number: u64,
 }
 
 /// The best view of each target in a frame, by the target's number.
 pub(crate) type BestViews<'p> = BTreeMap<usize, BestView<'p>>;
 
-/// A record with the purpose of its view and, where it has come, the view itself.
+/// A record with the purpose of its view and, if it has arrived, the view itself.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct AnsweredView<'s> {
-    /// What was found.
+    /// The detections.
     pub(crate) record: &'s Record,
-    /// Why the view was cut.
+    /// Purpose of the view.
     pub(crate) purpose: Option<Purpose>,
     pub(crate) view: Option<&'s ViewHeader>,
 }
@@ -94,7 +94,7 @@ impl AnsweredView<'_> {
     }
 }
 
-/// How many different markers of a body were decoded.
+/// Number of different decoded markers of a body.
 pub(crate) fn distinct_decoded<'m>(
     markers: impl Iterator<Item = &'m DetectedMarker>,
     body: &Body,

@@ -1,4 +1,4 @@
-//! What a frame says of one body: corners as rays, and a measured pose.
+//! Measurements of one body in a frame: corners as rays, and a measured pose.
 
 use flockeye_contract::{DetectedMarker, MeasuredBy};
 use flockeye_geometry::Ray;
@@ -13,17 +13,17 @@ use nalgebra::{Unit, Vector2, Vector3};
 pub struct PoseMeasurement {
     /// The pose.
     pub pose: PoseEstimate,
-    /// What it was measured by, never [`MeasuredBy::Nothing`].
+    /// Source of the measurement, never [`MeasuredBy::Nothing`].
     pub measured_by: MeasuredBy,
-    /// How many markers of the body were decoded.
+    /// Number of decoded markers of the body.
     pub markers: u32,
-    /// Whether the measurement is of use by itself. If not, it only updates a track that it agrees
-    /// with, and leaves as the track's pose.
+    /// Whether the measurement is usable by itself. If not, it only updates a track that it fits,
+    /// and is published as the track's pose.
     pub is_precise: bool,
 }
 
 impl PoseMeasurement {
-    /// An alignment's result, with so many markers decoded.
+    /// An alignment's result, with this number of decoded markers.
     pub(crate) fn aligned(found: &Alignment, markers: u32) -> Self {
         let pose = PoseEstimate {
             camera_from_markers: found.camera_from_markers,
@@ -50,11 +50,10 @@ pub fn candidate_rays<'m>(
     own_rays(body, markers.into_iter().filter(|marker| !marker.is_decoded()))
 }
 
-/// Most markers that agree with one pose of `body`, of squares that are probably its markers: at
-/// least two, or none.
+/// Largest number of probable markers of `body` that fit one of its poses: at least two, or none.
 ///
-/// One square has a best guess in any clutter. Two that lie to each other as on the body do not
-/// come by chance.
+/// One square may look like a marker in any clutter. Two at the distance of the body's markers do
+/// not occur by chance.
 pub(crate) fn agreeing_candidates(body: &Body, rays: &[CornerRay]) -> u32 {
     if marker_ids(rays).len() < 2 {
         return 0;
@@ -81,7 +80,7 @@ fn ray(components: [f64; 3]) -> Ray {
     Unit::new_normalize(Vector3::from(components))
 }
 
-/// Ids of the markers that these are corners of, in their order.
+/// Ids of the markers of these corners, in their order.
 pub(crate) fn marker_ids(rays: &[CornerRay]) -> Vec<u32> {
     let mut ids: Vec<u32> = rays.iter().map(|ray| ray.marker_id).collect();
     ids.sort_unstable();
@@ -89,10 +88,10 @@ pub(crate) fn marker_ids(rays: &[CornerRay]) -> Vec<u32> {
     ids
 }
 
-/// The rays of a foreign stage may differ from ours by rounding, but by no more than this, radians.
+/// Largest difference of another stage's rays from ours by rounding, radians.
 const RAY_TOLERANCE_RAD: f64 = 1e-3;
 
-/// Whether a marker's rays are those of its corners in the view that was searched.
+/// Whether a marker's rays match its corners in the searched view.
 pub(crate) fn agrees_with_view(marker: &DetectedMarker, view: &View) -> bool {
     marker.corners_in_view.iter().zip(&marker.rays_in_camera).all(|(&[u, v], &stated)| {
         let seen = view.ray(ViewPixel(Vector2::new(f64::from(u), f64::from(v))));

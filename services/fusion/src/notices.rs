@@ -1,4 +1,4 @@
-//! What an operator should know: counted each time, logged seldom.
+//! Notices to the operator: counted each time, logged seldom.
 
 use std::collections::HashMap;
 use std::mem::{Discriminant, discriminant};
@@ -6,10 +6,10 @@ use std::mem::{Discriminant, discriminant};
 use flockeye_runtime::health::SharedCounters;
 use flockeye_runtime::logs::Throttle;
 
-/// Something that an operator should know.
+/// Notice to the operator.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) enum Notice {
-    /// A worker's rays are not those of its corners, so its markers were left out.
+    /// A worker's rays do not match its corners, so its markers were left out.
     RaysDisagree {
         worker: u32,
         /// The first such marker.
@@ -21,11 +21,11 @@ pub(crate) enum Notice {
     Incomplete { sequence: u64 },
     /// A record came too late.
     LateRecord,
-    /// A message that cannot be true, and why.
+    /// An impossible message, with the reason.
     Refused(String),
 }
 
-/// How often each kind of notice is logged.
+/// Limits on the log rate of each kind of notice.
 pub(crate) type Throttles = HashMap<Discriminant<Notice>, Throttle>;
 
 impl Notice {

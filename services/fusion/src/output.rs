@@ -1,4 +1,4 @@
-//! What leaves fusion: tracks and plans as the contract's messages.
+//! Output of fusion: tracks and plans as the contract's messages.
 
 use std::collections::BTreeMap;
 
@@ -21,22 +21,23 @@ use crate::record::Record;
 use crate::target::{TargetEstimate, Update};
 use crate::tracker::Tracker;
 
-/// An estimate that leaves, and what led to it.
+/// An estimate to publish, with its cause.
 pub(crate) type Outgoing = (Update, Cause);
 
-/// When the views that led to an estimate were cut and searched, nanoseconds of CLOCK_MONOTONIC.
+/// Times at which the views behind an estimate were cut and searched, nanoseconds of
+/// CLOCK_MONOTONIC.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Cause {
     /// A view that was not searched yet.
     View {
-        /// When it was handed out.
+        /// Time at which it was sent.
         issued_ns: i64,
     },
     /// The last view that shows a marker of the target.
     Record {
-        /// When it was handed out.
+        /// Time at which it was sent.
         issued_ns: i64,
-        /// When its record was sent.
+        /// Time at which its record was sent.
         sent_ns: i64,
     },
     /// No view shows the target.
@@ -44,7 +45,7 @@ pub(crate) enum Cause {
 }
 
 impl Cause {
-    /// The cause of a pose from records: the last one that shows a marker of `body`.
+    /// The cause of a pose from records: the last record with a marker of `body`.
     pub(crate) fn of_records(records: &[&Record], body: &Body) -> Self {
         let shows = |record: &&&Record| {
             let mut decoded = record.markers.iter().filter(|marker| marker.is_decoded());
@@ -58,7 +59,7 @@ impl Cause {
     }
 }
 
-/// Estimates of one frame that leave together.
+/// Estimates of one frame that are published together.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TrackMessage {
     /// The frame.
@@ -70,7 +71,7 @@ pub struct TrackMessage {
 }
 
 impl TrackMessage {
-    /// Packs estimates into as few messages as they need.
+    /// Packs estimates into the least number of messages.
     pub(crate) fn of(stamp: FrameStamp, updates: Vec<Outgoing>) -> impl Iterator<Item = Self> {
         let mut updates = updates.into_iter().peekable();
         std::iter::from_fn(move || {
@@ -90,18 +91,18 @@ impl TrackMessage {
 #[derive(Debug)]
 pub struct Writer {
     pub(crate) bodies: Bodies,
-    /// Where the camera sits on the observer.
+    /// Mount of the camera on the observer.
     pub(crate) observer_from_camera: Isometry3<f64>,
-    /// How frames flow: in a lossless run exposures have another clock than the stages.
+    /// Flow of frames: in a lossless run exposures have another clock than the stages.
     pub(crate) flow: Flow,
     pub(crate) mode: contract::SearchMode,
-    /// How often this stage has been started.
+    /// Number of starts of this stage.
     pub(crate) generation: u32,
 }
 
 impl Writer {
-    /// Estimates as a message of the topic `track`, sent at `now_ns`, with what `tracker` predicts
-    /// for then.
+    /// Estimates as a message of the topic `track`, sent at `now_ns`, with the predictions of
+    /// `tracker` for that time.
     pub fn tracks(
         &self,
         message: &TrackMessage,
@@ -109,7 +110,7 @@ impl Writer {
         now_ns: i64,
     ) -> (TrackHeader, Vec<Track>) {
         let TrackMessage { stamp, updates, is_last } = message;
-        // In a lossless run exposures have another clock, and the time of sending means nothing.
+        // In a lossless run exposures have another clock, and the time of sending is meaningless.
         let predicted_ns = match self.flow {
             Flow::Latest => now_ns,
             Flow::Lossless => stamp.exposure_ns,
@@ -120,7 +121,7 @@ impl Writer {
             let predicted = tracker.prediction(*target, predicted_ns as f64 * 1e-9);
             let track = match predicted {
                 Some(predicted) => self.with_prediction(track, &predicted, predicted_ns, body),
-                // A lost track, or no filter: it stays where it was.
+                // Without a live track, the last pose is repeated.
                 None => Track {
                     predicted_observer_from_target: track.observer_from_target,
                     predicted_covariance: track.covariance,
@@ -138,7 +139,7 @@ impl Writer {
         (header, tracks.collect())
     }
 
-    /// A track with what is predicted for another time.
+    /// A track with its prediction for another time.
     fn with_prediction(
         &self,
         track: Track,
@@ -292,8 +293,7 @@ fn planned_view(
     }
 }
 
-/// How long each stage took with what led to an estimate, published at `now_ns`. Unknown times are
-/// -1.
+/// Latency of each stage for an estimate, published at `now_ns`. Unknown times are -1.
 fn latency(flow: Flow, stamp: &FrameStamp, cause: Cause, now_ns: i64) -> StageLatency {
     // In a lossless run exposures have another clock.
     let (capture_ns, since_ns) = match flow {

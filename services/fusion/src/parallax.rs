@@ -1,8 +1,8 @@
-//! Lenses beside the camera's middle: rays brought to the distance of what they see.
+//! Lenses beside the camera's middle: rays corrected to the distance of the target.
 //!
-//! A view's rays are right for one distance: that of the neighbour it was cut for, or the assumed
-//! one. Once a pose says how far the neighbour really is, the difference is known, and the same for
-//! all rays of a body but for those that another lens sees.
+//! A view's rays are exact for one distance: that of its neighbour, or the assumed one. After a
+//! pose gives the neighbour's actual distance, the correction is known. It is the same for all rays
+//! of a body from one lens.
 
 use flockeye_contract::ViewHeader;
 use flockeye_geometry::Ray;
@@ -10,40 +10,40 @@ use flockeye_geometry::camera::{Camera, CameraModel};
 use flockeye_geometry::pose::PoseEstimate;
 use nalgebra::{Isometry3, Matrix6, UnitQuaternion, Vector3};
 
-/// The camera's lenses, as far as they sit beside its middle.
+/// The camera's lenses, if they sit beside its middle.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Parallax {
     camera: Camera,
-    /// The distance that is assumed where none is predicted, metres.
+    /// Assumed distance without a prediction, metres.
     pub(crate) assumed_m: f64,
     is_stitched: bool,
 }
 
 impl Parallax {
-    /// For a camera that is right for `assumed_m` where no neighbour is predicted; `None` if all
-    /// of its rays meet in its middle.
+    /// Creates the correction of a camera that is exact for `assumed_m` without a prediction;
+    /// `None` if all of its rays meet in its middle.
     pub(crate) fn of(camera: &Camera, assumed_m: f64) -> Option<Self> {
         let camera = camera.at_distance(assumed_m);
         let is_stitched = matches!(camera.model(), CameraModel::Equirectangular { .. });
-        // Only lenses beside the middle make it matter how far things are.
+        // The distance matters only for lenses beside the middle.
         (camera.nearness() > 0.0).then_some(Self { camera, assumed_m, is_stitched })
     }
 
-    /// The distance that a view's rays are right for, metres.
+    /// Distance for which a view's rays are exact, metres.
     pub(crate) fn distance_m(&self, view: Option<&ViewHeader>) -> f64 {
         view.and_then(predicted_distance_m).unwrap_or(self.assumed_m)
     }
 
-    /// A ray that is right for `from_m`, as it is for `to_m`.
+    /// Converts a ray that is exact for `from_m` to `to_m`.
     pub(crate) fn brought(&self, ray_in_camera: &Ray, from_m: f64, to_m: f64) -> Ray {
         let seen = self.camera.at_distance(from_m).project(ray_in_camera);
         seen.and_then(|pixel| self.camera.at_distance(to_m).ray(pixel)).unwrap_or(*ray_in_camera)
     }
 
-    /// A pose from rays that were right for `rays_m`, as the distance that it says wants it: turned
-    /// about the camera's middle. A stitched image is taken for one stitched for things far away;
-    /// where it was stitched for something nearer it is off by anything up to the whole parallax,
-    /// once for all rays: in the covariance, as that much, evenly distributed.
+    /// Corrects a pose from rays that were exact for `rays_m` to its own distance, by a rotation
+    /// about the camera's middle. A stitched image is assumed to be stitched for distant objects.
+    /// If it was stitched for nearer ones, all rays have a common error of up to the whole
+    /// parallax. The covariance includes it as a uniform distribution.
     pub(crate) fn corrected(&self, estimate: &PoseEstimate, rays_m: f64) -> PoseEstimate {
         let position = estimate.camera_from_markers.translation.vector;
         let Some(towards) = Ray::try_new(position, 1e-9) else { return *estimate };
@@ -57,14 +57,14 @@ impl Parallax {
             let there = camera_from_markers.translation.vector;
             let far = self.brought(&brought, range_m, f64::INFINITY);
             let turn = UnitQuaternion::rotation_between_axis(&brought, &far).unwrap_or_default();
-            // The mean square of what is evenly distributed from nothing to one is a third.
+            // The mean square of a uniform distribution from zero to one is a third.
             covariance += common(&(turn * there - there), &turn) / 3.0;
         }
         PoseEstimate { camera_from_markers, covariance }
     }
 }
 
-/// The covariance of a shift and a turn that come together.
+/// Covariance of a common shift and rotation.
 fn common(shift: &Vector3<f64>, turn: &UnitQuaternion<f64>) -> Matrix6<f64> {
     let turn = turn.scaled_axis();
     let both = nalgebra::Vector6::new(shift.x, shift.y, shift.z, turn.x, turn.y, turn.z);

@@ -1,7 +1,7 @@
 //! A map that works on several items at once and keeps their order.
 
-/// What `work` makes of each of `items`, in their order, on up to `threads` threads. What comes out
-/// does not depend on how many.
+/// Results of `work` for each of `items`, in their order, on up to `threads` threads. The results
+/// do not depend on that number.
 pub(crate) fn map<T: Sync, R: Send>(
     items: &[T],
     threads: usize,

@@ -10,7 +10,7 @@ use crate::frame::views::HeldViews;
 use crate::measure::BestViews;
 use crate::parallax::Parallax;
 
-/// What turns code values into radiance and rays into the right ones.
+/// Converts code values to radiance, and corrects rays.
 #[derive(Debug)]
 pub(crate) struct PictureReader {
     lights: RadianceCache,
@@ -19,8 +19,8 @@ pub(crate) struct PictureReader {
 }
 
 impl PictureReader {
-    /// For a sphere image of this resolution; `parallax` for a camera whose lenses lie off its
-    /// centre.
+    /// Creates the converter for a sphere image of this resolution; `parallax` for a camera whose
+    /// lenses lie off its centre.
     pub(crate) fn new(
         lights: RadianceCache,
         pixels_per_radian: f64,
@@ -41,7 +41,7 @@ impl PictureReader {
         read.map(|((target, agreeing), view)| (target, BestView { agreeing, ..view })).collect()
     }
 
-    /// What views of places show.
+    /// Pictures of places.
     pub(crate) fn places<'c>(
         &'c mut self,
         views: impl Iterator<Item = (&'c ViewHeader, &'c Vec<u8>)>,

@@ -1,4 +1,4 @@
-//! Where to look in the next frame, by what was searched when.
+//! The plan of the next frame, from the record of searches.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -8,17 +8,17 @@ use serde::{Deserialize, Serialize};
 
 use crate::tracker::Tracker;
 
-/// A longer time between two frames is not expected to repeat, seconds.
+/// Longest time between two frames that is expected to repeat, seconds.
 const MAX_INTERVAL_S: f64 = 0.25;
 
-/// Where the search is. A successor goes on with it.
+/// State of the search. A successor continues it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Planning {
-    /// What was searched when.
+    /// Record of searches.
     searched: Searched,
-    /// How many frames have ended.
+    /// Number of ended frames.
     pub(crate) frames: u64,
-    /// When the last frame was exposed, seconds.
+    /// Exposure of the last frame, seconds.
     last_s: Option<f64>,
     /// The time between the last two frames, seconds.
     pub(crate) interval_s: f64,
@@ -30,20 +30,20 @@ pub struct NextPlan {
     /// Its number; this process numbers its plans from 1.
     pub(crate) plan_id: u64,
     pub(crate) plan: Plan,
-    /// Where each tracked target will be, by its number.
+    /// Predicted place of each tracked target, by its number.
     pub(crate) predictions: BTreeMap<usize, MotionEstimate>,
     /// Targets whose regions of interest need not be searched for markers.
     pub(crate) unsearched: BTreeSet<usize>,
 }
 
 impl Planning {
-    /// Nothing was searched yet.
+    /// Creates the state before the first search.
     pub(crate) fn new(planner: &Planner) -> Self {
         let searched = planner.nothing_searched();
         Self { searched, frames: 0, last_s: None, interval_s: 1.0 / 30.0 }
     }
 
-    /// Goes on with another process's search, if it searched the same tiles.
+    /// Continues another process's search, if it had the same tiles.
     pub(crate) fn resume(&mut self, saved: Self) {
         let mut times = [Some(saved.interval_s), saved.last_s].into_iter().flatten();
         if self.searched.has_tiles_of(&saved.searched) && times.all(f64::is_finite) {
@@ -51,16 +51,15 @@ impl Planning {
         }
     }
 
-    /// Notes that a view was cut. It will be searched, so plans that are made meanwhile need not
-    /// ask for it again.
+    /// Records that a view was cut. It will be searched, so plans made meanwhile need not request
+    /// it again.
     pub(crate) fn note_cut(&mut self, purpose: Purpose, search: Search) {
         self.searched.record(self.frames, purpose);
         self.searched.record_window(purpose, search);
     }
 
-    /// Ends a frame that was exposed at `at_s`, seconds. `unnoted` are purposes of views that were
-    /// searched and never noted as cut, `hit` is that of the first view in which a marker was
-    /// found.
+    /// Ends a frame that was exposed at `at_s`, seconds. `unnoted` are purposes of searched views
+    /// that were never recorded as cut, `hit` is that of the first view with a marker.
     pub(crate) fn end_frame(
         &mut self,
         at_s: f64,

@@ -1,9 +1,9 @@
-//! Which pass may run for a target in a frame, and how thorough it may be.
+//! Rules on which pass may run for a target in a frame, and on its thoroughness.
 
-/// How much time the measurement of a frame may take.
+/// Time budget for the measurement of a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum TimeBudget {
-    /// As much as it takes: every pass runs for every frame, and none waits in the background.
+    /// Unlimited: every pass runs for every frame, and none waits in the background.
     Unlimited,
     /// Until the next frame comes.
     OneFrame,
@@ -11,17 +11,19 @@ pub enum TimeBudget {
     Overspent,
 }
 
-/// For so many frames a target's direct pass is suspended after markers contradicted its pose.
+/// Number of frames for which a target's direct pass is suspended after markers contradicted its
+/// pose.
 pub(crate) const SUSPENDED_FRAMES: u64 = 15;
 
-/// Every so many frames of the direct pass are searched for markers too, for comparison. A search
-/// costs four times as much as the direct pass.
+/// Period in frames at which targets of the direct pass are searched for markers too, for
+/// comparison. A search costs four times as much as the direct pass.
 pub(crate) const MARKERS_EVERY_FRAMES: u32 = 4;
 
-/// Every third frame has time to search round the prediction of one target that is out of sight.
+/// Period in frames at which there is time for a search around the prediction of one target out of
+/// sight.
 const SEARCH_EVERY_FRAMES: u64 = 3;
 
-/// Whether one target may be searched for round its prediction in frame number `frame`: this pass
+/// Whether one target may be searched for around its prediction in frame number `frame`. This pass
 /// costs most, so targets take turns.
 pub(crate) fn is_search_turn(frame: u64, target: usize, targets: usize) -> bool {
     let turn = frame / SEARCH_EVERY_FRAMES % targets as u64;

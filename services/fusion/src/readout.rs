@@ -1,16 +1,16 @@
-//! Rolling readout: rows that are exposed later show a body where it is later.
+//! Rolling readout: rows exposed later show the later place of a body.
 //!
 //! A body covers few of the frame's rows, so it is taken as exposed at one time, that of its
-//! centre's row. What a track says is asked for at that time, and what a picture says is brought
-//! from there to the middle of the frame's exposure.
+//! centre's row. Tracks are predicted for that time, and measurements are converted from it to the
+//! middle of the frame's exposure.
 
 use flockeye_geometry::Ray;
 use flockeye_geometry::camera::Camera;
 use flockeye_geometry::pose::PoseEstimate;
 use nalgebra::{Isometry3, Matrix6, UnitQuaternion, Vector3};
 
-/// How long after the middle of the frame's exposure (negative: before it) a body's rows are
-/// exposed, seconds. The camera needs `readout_s` from its first to its last row.
+/// Time from the middle of the frame's exposure to that of a body's rows, seconds, negative if
+/// earlier. The camera needs `readout_s` from its first to its last row.
 pub(crate) fn after_s(
     camera: &Camera,
     readout_s: f64,
@@ -21,9 +21,9 @@ pub(crate) fn after_s(
     row.map_or(0.0, |row| ((row + 0.5) / f64::from(camera.height()) - 0.5) * readout_s)
 }
 
-/// A pose in the camera frame as it is `by_s` seconds later. The body moves at `velocity`, m/s, and
-/// turns at `rate`, rad/s, as the camera sees it, in the camera's axes. The pose is as certain then
-/// as the covariance of both lets it be.
+/// Extrapolates a pose in the camera frame by `by_s` seconds. The body moves at `velocity`, m/s,
+/// and turns at `rate`, rad/s, relative to the camera and in its axes. The covariance of both adds
+/// to that of the pose.
 pub(crate) fn carried(
     pose: &PoseEstimate,
     (velocity, rate): (&Vector3<f64>, &Vector3<f64>),

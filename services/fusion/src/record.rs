@@ -1,11 +1,11 @@
-//! What a detection worker found in one view.
+//! Detections of a worker in one view.
 
 use flockeye_contract::{DetectedMarker, DetectionHeader};
 
-/// What a detection worker found in one view.
+/// Detections of a worker in one view.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Record {
-    /// Which view, of which frame, by whom.
+    /// View, frame and worker.
     pub header: DetectionHeader,
     /// The markers.
     pub markers: Vec<DetectedMarker>,

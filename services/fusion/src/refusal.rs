@@ -1,31 +1,31 @@
-//! Messages that pass the contract's check and yet cannot be true: they name a worker that does not
-//! exist, a view that nobody planned, or a frame that nobody has begun.
+//! Impossible messages that pass the contract's check: with a worker that does not exist, an
+//! unplanned view, or a frame that was not begun.
 
 use flockeye_contract::{DetectionHeader, FrameEnd, FrameStamp};
 
 /// Shortest interval of any source, nanoseconds.
 const SHORTEST_INTERVAL_NS: u64 = 1_000_000;
-/// Frames that may come at once, such as those that waited while this process was stopped.
+/// Most frames that may arrive at once, such as those that waited while this process was stopped.
 const FREE_STEP: u64 = 64;
 
-/// Knows what can be true in flight. A source that has begun anew may count from anywhere.
+/// Check for impossible messages in flight. A source that started anew may count from any number.
 #[derive(Debug)]
 pub(crate) struct Guard {
     workers: u32,
-    /// The newest frame of which rectification has sent anything.
+    /// The newest frame for which rectification has sent anything.
     newest: Option<FrameStamp>,
-    /// When that came, nanoseconds of CLOCK_MONOTONIC. Exposures would not do: a camera's clock may
-    /// jump.
+    /// Time of that message, nanoseconds of CLOCK_MONOTONIC. Exposures are not usable, because a
+    /// camera's clock may jump.
     newest_ns: i64,
 }
 
 impl Guard {
-    /// A guard of a pipeline with `workers` detection workers.
+    /// Creates the check of a pipeline with `workers` detection workers.
     pub(crate) fn new(workers: u32) -> Self {
         Self { workers, newest: None, newest_ns: 0 }
     }
 
-    /// Why the end of a frame is refused. `planned` is how many views its plan has, where that is
+    /// Reason why the end of a frame is refused. `planned` is the number of views in its plan, if
     /// known.
     pub(crate) fn refuses_end(
         &mut self,
@@ -42,7 +42,7 @@ impl Guard {
         self.refuses_frame(&end.stamp, now_ns)
     }
 
-    /// Why a frame is refused of which rectification sends something.
+    /// Reason why a frame of a message from rectification is refused.
     pub(crate) fn refuses_frame(&mut self, stamp: &FrameStamp, now_ns: i64) -> Option<String> {
         let refusal = self.impossible_step(stamp, now_ns);
         if refusal.is_none() && self.newest.is_none_or(|newest| newest.order() < stamp.order()) {
@@ -51,7 +51,7 @@ impl Guard {
         refusal
     }
 
-    /// Whether no source could have made so many frames since the newest one.
+    /// Whether no source could have made this many frames since the newest one.
     fn impossible_step(&self, stamp: &FrameStamp, now_ns: i64) -> Option<String> {
         let newest = self.newest.as_ref()?;
         let is_same_source =
@@ -63,8 +63,8 @@ impl Guard {
         is_impossible.then(|| format!("frame {sequence} too soon after frame {newest}"))
     }
 
-    /// Why a record is refused. `planned` is how many views its plan has, where that is known.
-    /// Before rectification has sent anything, every frame may be one that was under way when this
+    /// Reason why a record is refused. `planned` is the number of views in its plan, if known.
+    /// Before the first message of rectification, every frame may have been under way when this
     /// process began.
     pub(crate) fn refuses_record(
         &self,

@@ -1,27 +1,27 @@
-//! When passes run, and how much time a frame's passes have.
+//! Schedule of passes, and the time budget of a frame.
 
 use flockeye_config::Costs;
 use flockeye_contract::{FrameOrder, FrameStamp};
 
 use crate::policy::TimeBudget;
 
-/// When passes run.
+/// Schedule of passes.
 #[derive(Debug, Clone)]
 pub(crate) enum Schedule {
-    /// As soon as their inputs are there, in the time that is left.
+    /// As soon as their inputs have arrived, in the remaining time.
     Flight,
-    /// As in flight, but in a lossless run: by stated costs instead of the time, so that nothing
-    /// depends on who is faster.
+    /// As in flight, but in a lossless run: with stated costs instead of the time, so that results
+    /// do not depend on the speed of the machine.
     Virtual(VirtualClock),
-    /// When a frame is complete, and all of them.
+    /// All of them when a frame is complete.
     Unlimited,
 }
 
-/// A frame is behind when this many newer ones have come, or would have.
+/// Number of newer frames after which a frame is behind.
 const BEHIND_FRAMES: u64 = 2;
 
 impl Schedule {
-    /// How much time the passes of a frame may take. `newest` is the newest frame that has come.
+    /// Time budget of the passes of a frame. `newest` is the newest frame that has arrived.
     pub(crate) fn budget(&self, stamp: &FrameStamp, newest: Option<&FrameStamp>) -> TimeBudget {
         let is_behind = match self {
             Self::Flight => is_behind(stamp, newest),
@@ -31,7 +31,7 @@ impl Schedule {
         if is_behind { TimeBudget::Overspent } else { TimeBudget::OneFrame }
     }
 
-    /// Whether passes run as soon as their inputs are there.
+    /// Whether passes run as soon as their inputs have arrived.
     pub(crate) fn is_flight(&self) -> bool {
         matches!(self, Self::Flight)
     }
@@ -42,7 +42,7 @@ impl Schedule {
     }
 }
 
-/// Whether newer frames have come since, so that a frame's time is spent.
+/// Whether newer frames have arrived, so that a frame's time is spent.
 fn is_behind(stamp: &FrameStamp, newest: Option<&FrameStamp>) -> bool {
     newest.is_some_and(|newest| {
         stamp.is_late_beside(newest)
@@ -50,7 +50,7 @@ fn is_behind(stamp: &FrameStamp, newest: Option<&FrameStamp>) -> bool {
     })
 }
 
-/// How often passes have tried to measure a target, whether they found it or not.
+/// Number of attempts to measure a target, with or without success.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub(crate) struct Attempts {
     pub(crate) direct: u32,
@@ -60,8 +60,8 @@ pub(crate) struct Attempts {
     pub(crate) untracked: u32,
 }
 
-/// A clock that only stated costs move on. It begins each frame at its exposure, or when the work
-/// on the frame before is done.
+/// A clock that only stated costs advance. Each frame begins at its exposure, or at the end of the
+/// work on the frame before.
 #[derive(Debug, Clone)]
 pub(crate) struct VirtualClock {
     costs: Costs,
@@ -69,17 +69,17 @@ pub(crate) struct VirtualClock {
     interval_ns: i64,
     /// The time, on the clock of the exposures, nanoseconds.
     now_ns: i64,
-    /// When the last background pass is over.
+    /// End of the last background pass.
     pub(crate) background_over_ns: i64,
 }
 
 impl VirtualClock {
-    /// A clock with these costs, before the first frame.
+    /// Creates a clock with these costs, before the first frame.
     pub(crate) fn new(costs: Costs) -> Self {
         Self { costs, last: None, interval_ns: 0, now_ns: i64::MIN, background_over_ns: i64::MIN }
     }
 
-    /// A frame begins.
+    /// Begins a frame.
     pub(crate) fn begin_frame(&mut self, stamp: &FrameStamp) {
         let source = |stamp: &FrameStamp| (stamp.source_generation, stamp.epoch);
         let goes_on = self.last.is_some_and(|last| source(&last) == source(stamp));
@@ -88,7 +88,7 @@ impl VirtualClock {
         self.last = Some(*stamp);
     }
 
-    /// Passes have run.
+    /// Adds the costs of passes.
     pub(crate) fn spend(&mut self, attempts: Attempts) {
         let Attempts { direct, tracked, untracked } = attempts;
         let costs = &self.costs;
@@ -103,19 +103,19 @@ impl VirtualClock {
         self.now_ns = self.now_ns.saturating_add((ms * 1e6) as i64);
     }
 
-    /// All of a frame has been searched: in flight, that is when the next one is due.
+    /// Ends the search of a frame: in flight, that is when the next one is due.
     pub(crate) fn complete_frame(&mut self, stamp: &FrameStamp) {
         self.now_ns = self.now_ns.max(stamp.exposure_ns.saturating_add(self.interval_ns));
     }
 
-    /// A background pass begins. One is under way at a time.
+    /// Begins a background pass. Only one runs at a time.
     pub(crate) fn begin_background(&mut self) {
         let cost_ns = (self.costs.background_pass_ms * 1e6) as i64;
         self.background_over_ns = self.now_ns.saturating_add(cost_ns);
     }
 
-    /// Whether a background pass over a frame is over that takes until then. One over a frame of
-    /// another source is: its clock is another one.
+    /// Whether a background pass over a frame that ends at that time is over. A pass over a frame
+    /// of another source always is, because its clock differs.
     pub(crate) fn is_over(&self, over_ns: i64, order: FrameOrder) -> bool {
         let of_source = |last: FrameStamp| (last.source_generation, last.epoch);
         over_ns <= self.now_ns || self.last.map(of_source) != Some((order.0, order.1))

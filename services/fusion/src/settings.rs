@@ -1,4 +1,4 @@
-//! The core of fusion, as the configuration asks for it.
+//! The core of fusion for a configuration.
 
 use std::sync::Arc;
 
@@ -23,11 +23,11 @@ use crate::pictures::PictureReader;
 use crate::schedule::{Schedule, VirtualClock};
 use crate::tracker::Tracker;
 
-/// A core as the configuration asks for it, the writer of its messages, and the aligner that its
-/// background passes run with; `None` where it hands out none.
+/// Creates the core of a configuration, the writer of its messages, and the aligner of its
+/// background passes; `None` if it has none.
 ///
 /// # Errors
-/// A configuration that cannot be worked with: bodies, dictionary, mask, views.
+/// An invalid configuration: bodies, dictionary, mask, views.
 pub fn configured<P: AsRef<[u8]>>(
     resolved: &Resolved,
     generation: u32,
@@ -91,7 +91,7 @@ pub fn configured<P: AsRef<[u8]>>(
         tracker,
         planner,
     );
-    // In a lossless run a record may come before anything else of its frame.
+    // In a lossless run a record may be the first message of its frame.
     let core = match pipeline.flow() {
         Flow::Latest => core.guarded(pipeline.detection_workers()),
         Flow::Lossless => core,
@@ -106,8 +106,8 @@ pub fn configured<P: AsRef<[u8]>>(
     Ok((core, writer, has_background.then_some(aligner)))
 }
 
-/// Views of places that look like a body in each frame. They are found in equirectangular pictures
-/// only.
+/// Number of views of places that look like a body in each frame. They are found in equirectangular
+/// pictures only.
 fn proposals(resolved: &Resolved) -> usize {
     match resolved.camera.model() {
         CameraModel::Equirectangular { .. } => resolved.pipeline.proposals(),
@@ -115,7 +115,7 @@ fn proposals(resolved: &Resolved) -> usize {
     }
 }
 
-/// Without tracks there is no prediction of where to look, so everything is searched.
+/// Without tracks there is no prediction for the search, so everything is searched.
 fn search_mode(pipeline: &Pipeline) -> SearchMode {
     match pipeline.search.mode {
         contract::SearchMode::Greedy => SearchMode::Greedy,
@@ -125,19 +125,19 @@ fn search_mode(pipeline: &Pipeline) -> SearchMode {
     }
 }
 
-/// Factor on covariances for how the source's pictures are coded.
+/// Factor on covariances for the coding of the source's pictures.
 fn coding_covariance_scale(pipeline: &Pipeline) -> f64 {
     if pipeline.is_coded_as_video() { VIDEO_COVARIANCE_SCALE } else { 1.0 }
 }
 
-/// How tracks are filtered.
+/// Policy of the tracks' filters.
 fn track_policy(pipeline: &Pipeline) -> TrackPolicy {
     let fusion = &pipeline.fusion;
     let usual = MotionModel::default();
     TrackPolicy {
         motion: MotionModel {
             acceleration: fusion.acceleration,
-            // A coasting target is predicted all the while.
+            // A coasting target is predicted for the whole time.
             longest_step_s: usual.longest_step_s.max(fusion.coast_s),
             ..usual
         },

@@ -1,9 +1,9 @@
-//! What fusion leaves to the process that follows it: tracks, the camera's rotation, what was
-//! learned of the exposure, and what was searched when.
+//! State of fusion for the next process: tracks, the camera's rotation, the sums of the exposure,
+//! and the record of searches.
 //!
-//! It is saved before a pose leaves and after each frame. A process that is started in a swap, or
-//! after a crash, goes on from there. Of frames that are open only that is part of it which must
-//! not be said twice: nobody but the old process has their views.
+//! It is saved before a pose is published and after each frame. A process that starts in a swap, or
+//! after a crash, continues from there. Of open frames it contains only the published poses, so
+//! that none is published twice. Only the old process has their views.
 
 use anyhow::ensure;
 use serde::{Deserialize, Serialize};
@@ -14,38 +14,37 @@ use flockeye_geometry::ego_rotation::EgoRotation;
 use crate::planning::Planning;
 use crate::target::SavedTarget;
 
-/// Rises with each change of what is saved. Another version is not read.
+/// Version of the saved form. It rises with each change, and other versions are not read.
 const VERSION: u32 = 2;
 
 /// The state of a core after a frame.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Snapshot {
-    /// The last frame that has ended. A successor sends nothing about it or older ones.
+    /// The last frame that has ended. A successor publishes nothing about it or older ones.
     pub(crate) ended: Option<FrameOrder>,
     pub(crate) targets: Vec<SavedTarget>,
     pub(crate) ego: EgoRotation,
-    /// What blur has shown of the exposure: sums of stretch and weight.
+    /// Exposure from blur: sums of stretch and weight.
     pub(crate) exposure: (f64, f64),
     pub(crate) planning: Planning,
 }
 
 impl Snapshot {
-    /// The part that stays true however old it is: which poses have left, how many tracks there
-    /// were.
+    /// The part that stays valid at any age: frames of published poses, and numbers of tracks.
     pub(crate) fn without_tracks(mut self) -> Self {
         self.targets.iter_mut().for_each(|target| target.life = None);
         self
     }
 
-    /// Its bytes: the version, then the fields in their order, as postcard writes them.
+    /// Its bytes: the version, then the fields in their order, in postcard form.
     ///
     /// # Errors
-    /// None that a snapshot could lead to.
+    /// None for any snapshot.
     pub(crate) fn to_bytes(&self) -> anyhow::Result<Vec<u8>> {
         postcard::to_stdvec(&(VERSION, self)).map_err(unreadable)
     }
 
-    /// Reads one.
+    /// Reads a snapshot.
     ///
     /// # Errors
     /// Another version, or bytes that are no snapshot.

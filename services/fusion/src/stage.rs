@@ -19,13 +19,14 @@ use crate::output::Writer;
 use crate::settings::configured;
 use crate::succession::Succession;
 
-/// How often an open frame looks whether its background pass is over, nanoseconds.
+/// Period at which an open frame checks whether its background pass is over, nanoseconds.
 const BACKGROUND_POLL_NS: i64 = 4_000_000;
 
-/// How often the stage looks whether rectification has joined, nanoseconds.
+/// Period at which the stage checks whether rectification has joined, nanoseconds.
 const JOIN_POLL_NS: i64 = 5_000_000;
 
-/// Takes views, detections and frame ends; gives tracks and plans, and a journal while it is read.
+/// Receives views, detections and frame ends. Sends tracks and plans, and a journal while it has a
+/// reader.
 pub(crate) struct FusionStage {
     inbox: Inbox,
     tracks: Publisher<Tracks>,
@@ -37,9 +38,9 @@ pub(crate) struct FusionStage {
     throttles: Throttles,
     counters: SharedCounters,
     flow: Flow,
-    /// Until when a lossless run waits for rectification to join, nanoseconds.
+    /// Timeout of a lossless run for rectification to join, nanoseconds.
     join_until_ns: i64,
-    /// `None` in a lossless run, whose results must not depend on what went before.
+    /// `None` in a lossless run, whose results must not depend on earlier processes.
     succession: Option<Succession>,
 }
 
@@ -54,7 +55,7 @@ impl Stage for FusionStage {
             Flow::Latest => BackgroundRunner::thread(aligner),
             Flow::Lossless => Ok(BackgroundRunner::inline(aligner)),
         });
-        // After a track's longest coasting nothing of it is left to go on with.
+        // After a track's longest coasting, nothing of it can be continued.
         let longest = Duration::from_secs_f64(pipeline.fusion.coast_s);
         let succession = (pipeline.flow() == Flow::Latest)
             .then(|| Succession::begin(&mut core, &context.saved_states, longest));

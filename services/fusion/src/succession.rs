@@ -1,4 +1,4 @@
-//! Where fusion saves its state, and how its successor goes on with it.
+//! Storage of fusion's state, and its use by a successor.
 
 use std::time::Duration;
 
@@ -12,17 +12,17 @@ use crate::snapshot::Snapshot;
 /// Saves the state of one process after each frame.
 #[derive(Debug)]
 pub(crate) struct Succession {
-    /// `None` where the file could not be made. Fusion works without it.
+    /// `None` if the file could not be made. Fusion works without it.
     keeper: Option<StateKeeper>,
     failures: Throttle,
-    /// Whether the core goes on where another process was.
+    /// Whether the core continues another process.
     pub(crate) has_resumed: bool,
 }
 
 impl Succession {
-    /// Lets `core` go on where the worker's last process was. Tracks that are older than `longest`
-    /// are over; of frames that were told nothing is told again. Without a state it starts with
-    /// nothing, as at the pipeline's start.
+    /// Loads the state of the worker's last process into `core`. Tracks older than `longest` are
+    /// over. Published frames are not published again. Without a saved state, the core starts
+    /// empty, as at the pipeline's start.
     pub(crate) fn begin<P: AsRef<[u8]>>(
         core: &mut Core<P>,
         states: &SavedStates,

@@ -15,20 +15,19 @@ use crate::measurement::PoseMeasurement;
 use crate::policy::{MARKERS_EVERY_FRAMES, SUSPENDED_FRAMES};
 use crate::track_prior::TrackPrior;
 
-/// What is known of a target after a frame. Poses are of its markers in the camera frame.
+/// Estimate of a target after a frame. Poses are of its markers in the camera frame.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct TargetEstimate {
     pub(crate) pose: PoseEstimate,
-    /// Its velocity in axes that do not turn, along the camera's, m/s.
+    /// Its velocity in axes that do not turn, along the camera's axes, m/s.
     pub(crate) velocity: Vector3<f64>,
-    /// Its angular velocity in axes that do not turn, along the camera's, rad/s.
+    /// Its angular velocity in axes that do not turn, along the camera's axes, rad/s.
     pub(crate) rate: Vector3<f64>,
-    /// The frame's own measurement and how it was made, where the filter accepted one that is
-    /// precise.
+    /// The frame's own measurement and its source, if the filter accepted a precise one.
     pub(crate) measured: Option<(PoseEstimate, MeasuredBy)>,
     /// Markers decoded in this frame.
     pub(crate) markers: u32,
-    /// State of the track. `None`: there is no filter, and the frame stands for itself.
+    /// State of the track. `None` without a filter: the frame's measurement is the result.
     pub state: Option<TrackState>,
     /// Time since the track began, seconds.
     pub(crate) age_s: f64,
@@ -38,7 +37,7 @@ pub(crate) struct TargetEstimate {
     pub(crate) track_id: u32,
 }
 
-/// A target's number, and what is known of it after a frame.
+/// A target's number, with its estimate after a frame.
 pub(crate) type Update = (usize, TargetEstimate);
 
 impl TargetEstimate {
@@ -65,42 +64,42 @@ pub struct Target {
     pub(crate) body: Body,
     life: LifeCycle,
     track_id: u32,
-    /// For how many more frames its direct pass is suspended.
+    /// Number of frames for which its direct pass is still suspended.
     suspended_frames: u64,
-    /// In how many frames in a row the direct pass has measured it.
+    /// Number of consecutive frames that the direct pass has measured.
     direct_in_a_row: u32,
 }
 
-/// A target, as a process leaves it to its successor.
+/// State of a target for the next process.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(crate) struct SavedTarget {
     pub(crate) body: String,
     /// The number of its newest track.
     pub(crate) track_id: u32,
-    /// The newest frame in which its pose has left, as far as such frames may still be open.
+    /// The newest frame in which its pose was published, if such frames may still be open.
     pub(crate) published: Option<FrameOrder>,
     /// The track, if it is tracked.
     pub(crate) life: Option<SavedLife>,
 }
 
 impl Target {
-    /// A target that was never seen.
+    /// Creates a target before its first measurement.
     pub(crate) fn new(body: Body, policy: TrackPolicy) -> Self {
         let life = LifeCycle::new(policy);
         Self { body, life, track_id: 0, suspended_frames: 0, direct_in_a_row: 0 }
     }
 
-    /// Suspends its direct pass, because markers contradicted a pose of it.
+    /// Suspends its direct pass, because markers contradicted one of its poses.
     pub(crate) fn suspend_direct_pass(&mut self) {
         self.suspended_frames = SUSPENDED_FRAMES;
     }
 
-    /// Whether it has to wait for its markers.
+    /// Whether it must wait for its markers.
     pub(crate) fn is_suspended(&self) -> bool {
         self.suspended_frames > 0
     }
 
-    /// Ends a frame, which the direct pass has measured or not.
+    /// Ends a frame, with or without a measurement by the direct pass.
     pub(crate) fn end_frame(&mut self, is_measured_directly: bool) {
         self.suspended_frames = self.suspended_frames.saturating_sub(1);
         self.direct_in_a_row =
@@ -135,8 +134,8 @@ impl Target {
         self.life.forget();
     }
 
-    /// Its track for a successor, and how many it had. `published` is the newest frame in which its
-    /// pose has left.
+    /// Its track for a successor, and its number of tracks. `published` is the newest frame in
+    /// which its pose was published.
     pub(crate) fn saved(&self, published: Option<FrameOrder>) -> SavedTarget {
         SavedTarget {
             body: self.body.name.clone(),
@@ -146,7 +145,7 @@ impl Target {
         }
     }
 
-    /// Goes on with a track of another process, or counts on from its last one.
+    /// Continues a track of another process, or the number of its last one.
     ///
     /// # Errors
     /// A track with numbers that are not finite: there is none then.
@@ -164,7 +163,7 @@ impl Target {
         self.life.state() == Some(TrackState::Confirmed)
     }
 
-    /// What its track predicts for a frame before the frame measures it.
+    /// The track's prediction for a frame before the frame measures it.
     pub(crate) fn prior(&self, at_s: f64, ego: &EgoRotation) -> TrackPrior {
         let Some(prediction) = self.life.predict(at_s, ego) else { return TrackPrior::Untracked };
         let camera_from_markers = prediction.camera_from_markers;
@@ -190,14 +189,14 @@ impl Target {
         self.life.fits(at_s, pose, ego)
     }
 
-    /// Filters anew from a time since which it is known better how the camera has turned.
+    /// Filters anew from a time, because the camera's rotation since then is known better.
     pub(crate) fn refilter(&mut self, since_s: f64, ego: &EgoRotation) {
         self.life.refilter(since_s, ego);
     }
 
-    /// Gives the filter a frame's measurement. `None` where the filter refuses it: its time lies
-    /// before the track's history, its numbers are not finite, or it is imprecise and the track
-    /// would not go on with it.
+    /// Updates the filter with a frame's measurement. `None` if the filter refuses it: its time
+    /// lies before the track's history, its numbers are not finite, or it is imprecise and would
+    /// not continue the track.
     pub(crate) fn update(
         &mut self,
         at_s: f64,
@@ -221,16 +220,15 @@ impl Target {
         }
     }
 
-    /// Takes in that a frame did not measure the target. `None` if there is no track. The
-    /// last estimate of a track has the state `Lost`.
+    /// Handles a frame without a measurement of the target. `None` if there is no track. The last
+    /// estimate of a track has the state `Lost`.
     pub(crate) fn miss(
         &mut self,
         at_s: f64,
         markers: u32,
         ego: &EgoRotation,
     ) -> Option<TargetEstimate> {
-        // A lost track has no pose any more, so its last message repeats the prediction from
-        // before.
+        // A lost track has no pose, so its last message repeats the earlier prediction.
         let before = self.estimate(at_s, None, markers, ego);
         match self.life.unseen(at_s, ego)? {
             TrackState::Lost => {
@@ -250,7 +248,7 @@ impl Target {
     ) -> Option<TargetEstimate> {
         let last_seen_s = self.life.last_seen_s()?;
         let track = self.life.track()?;
-        // A clock that jumped back leaves nothing to predict; then the track's own time is used.
+        // After a clock jump back there is no prediction, so the track's own time is used.
         let prediction = self.life.predict(at_s, ego).unwrap_or_else(|| track.clone());
         Some(TargetEstimate {
             pose: PoseEstimate {

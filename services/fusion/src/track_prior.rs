@@ -1,15 +1,15 @@
-//! What a track predicts of a target before a frame measures it.
+//! Prediction of a target from its track, before a frame measures it.
 
 use flockeye_geometry::pose::PoseEstimate;
 use nalgebra::Isometry3;
 
-/// What a track predicts of a target before a frame measures it.
+/// Prediction of a target from its track, before a frame measures it.
 #[derive(Debug, Clone)]
 #[allow(clippy::large_enum_variant, reason = "one for each target and pass, on the stack")]
 pub enum TrackPrior {
     /// There is no track.
     Untracked,
-    /// A track that is not confirmed yet: a pose to start from (`camera_from_markers`), no prior.
+    /// A track that is not confirmed yet: a start pose (`camera_from_markers`), but no prior.
     Tentative(Isometry3<f64>),
     /// A confirmed track.
     Confirmed(PoseEstimate),

@@ -1,4 +1,4 @@
-//! All targets with their tracks: runs the measurement passes and takes in what they find.
+//! All targets with their tracks: runs the measurement passes and handles their results.
 //!
 //! A measurement enters a track in one place, [`Tracker::take_in`].
 
@@ -24,13 +24,12 @@ use crate::policy::TimeBudget;
 use crate::schedule::Attempts;
 use crate::target::{Target, TargetEstimate, Update};
 
-/// What is known of the camera beside what its picture shows.
+/// State of the camera beside its picture.
 pub(crate) struct CameraState {
-    /// How it has turned.
+    /// Its rotation.
     ego: EgoRotation,
     exposure: ExposureEstimate,
-    /// Brings rays and poses to their distances; `None` where all lenses lie at the camera's
-    /// centre.
+    /// Corrects rays and poses to their distances; `None` if all lenses lie at the camera's centre.
     pub(crate) parallax: Option<Parallax>,
     /// Its model, and the time from its first to its last row, seconds; `None` where all rows are
     /// exposed at once.
@@ -40,26 +39,26 @@ pub(crate) struct CameraState {
 /// All targets with their tracks.
 pub struct Tracker {
     targets: Vec<Target>,
-    /// How tracks are filtered; `None`: each frame stands for itself.
+    /// Policy of the tracks' filters; `None`: each frame is independent.
     filter: Option<TrackPolicy>,
     aligner: Arc<Aligner>,
     /// See [`Bodies::radius_in_sides`].
     radius_in_sides: f64,
-    /// Threads that targets of one frame are measured on, at most.
+    /// Most threads that measure targets of one frame.
     pub(crate) threads: usize,
     pub(crate) camera: CameraState,
-    /// Where what takes long waits for the background pass; `None`: everything is done at once.
+    /// Queue of long passes; `None`: they run at once.
     pub(crate) background: Option<BackgroundQueue>,
     attempts: Attempts,
-    /// The last frame that has ended, and when it was exposed, seconds.
+    /// The last frame that has ended, and its exposure, seconds.
     pub(crate) ended: Option<(FrameOrder, f64)>,
-    /// The target of which an account is kept, and what happened to it in which frame.
+    /// The target with an account, and its events with their frames.
     account: Option<(usize, Vec<(FrameOrder, AccountEntry)>)>,
 }
 
 impl Tracker {
-    /// Targets that were never seen. `exposure_s` says how long frames are exposed, seconds.
-    /// Without it the blur of moving bodies shows it in time.
+    /// Creates targets before their first measurement. `exposure_s` is the exposure time of frames,
+    /// seconds. Without it the blur of moving bodies determines it with time.
     pub(crate) fn new(
         bodies: &Bodies,
         filter: Option<TrackPolicy>,
@@ -74,7 +73,7 @@ impl Tracker {
             radius_in_sides: bodies.radius_in_sides(),
             threads,
             camera: CameraState {
-                // Predictions reach back to the last measurement, and not farther than this.
+                // Predictions reach back to the last measurement, but not farther than this.
                 ego: EgoRotation::new(policy.motion.longest_step_s + HISTORY_S),
                 exposure: ExposureEstimate::new(exposure_s, aligner.pixels_per_radian),
                 parallax: None,
@@ -93,14 +92,14 @@ impl Tracker {
         &self.targets
     }
 
-    /// The attempts since this was asked last.
+    /// The attempts since the last call.
     pub(crate) fn take_attempts(&mut self) -> Attempts {
         std::mem::take(&mut self.attempts)
     }
 
-    /// The corner pass over regions of interest of one frame that have been searched. A pose need
-    /// wait neither for the frame's tiles nor for the frame before, because the filter puts each
-    /// measurement where it belongs in time.
+    /// The corner pass over regions of interest of one frame that have been searched. A pose waits
+    /// neither for the frame's tiles nor for the frame before, because the filter sorts
+    /// measurements by time.
     pub(crate) fn region_pass(
         &mut self,
         time: FrameTime,
@@ -114,8 +113,8 @@ impl Tracker {
         for answer in answered {
             let Some(target) = answer.region_of() else { continue };
             let Some(part) = parts.get_mut(target) else { continue };
-            // Without its view it is unknown what distance a record's rays are right for. Once the
-            // frame is complete, the assumed distance has to do.
+            // Without its view, the distance of a record's rays is not known. Once the frame is
+            // complete, the assumed distance is used.
             let is_ready = self.camera.parallax.is_none() || answer.view.is_some();
             let is_due = is_ready && !part.is_published();
             if is_due && !std::mem::replace(&mut part.is_region_tried, true) {
@@ -135,8 +134,8 @@ impl Tracker {
         best_views: &BestViews<'_>,
         budget: TimeBudget,
     ) -> Vec<Update> {
-        // The passes run as if each region's record had come alone: the result of a frame must not
-        // depend on when its parts came.
+        // The passes run as if each region's record had arrived alone, because the result must not
+        // depend on the order of arrival.
         let mut updates = self.region_pass(time, parts, answered, best_views, budget);
         let left: Vec<(usize, &[AnsweredView<'_>])> =
             unpublished(parts).map(|target| (target, answered)).collect();
@@ -164,7 +163,7 @@ impl Tracker {
         updates
     }
 
-    /// Suspends the direct pass of targets whose markers contradict what it published.
+    /// Suspends the direct pass of targets whose markers contradict its published pose.
     fn compare_with_markers(
         &mut self,
         order: FrameOrder,
@@ -183,9 +182,9 @@ impl Tracker {
         }
     }
 
-    /// Takes a measurement into the track of its target: the one place where that happens. `part`
-    /// is the target's part in the frame, unless that has ended. Returns what is known of the
-    /// target then, `None` where the filter refuses the measurement, and what became of it.
+    /// Updates the track of its target with a measurement: the one place where that happens. `part`
+    /// is the target's part in the frame, unless that has ended. Returns the target's estimate,
+    /// `None` if the filter refuses the measurement, and the outcome.
     pub(crate) fn take_in(
         &mut self,
         time: FrameTime,
@@ -209,7 +208,7 @@ impl Tracker {
         (Some((target, estimate)), outcome)
     }
 
-    /// Ends a frame that was exposed at `at_s`, seconds. Frames end in their order.
+    /// Ends a frame with its exposure at `at_s`, seconds. Frames end in their order.
     pub(crate) fn end_frame(&mut self, order: FrameOrder, at_s: f64, parts: &[Part]) {
         for (target, part) in self.targets.iter_mut().zip(parts) {
             target.end_frame(part.direct_pose().is_some());
@@ -223,29 +222,29 @@ impl Tracker {
         self.targets[target].needs_no_markers(target)
     }
 
-    /// Notes from now on what is decided of a target.
+    /// From now on, records the decisions about a target.
     pub(crate) fn keep_account(&mut self, target: usize) {
         self.account = Some((target, Vec::new()));
     }
 
-    /// What was decided of the target since this was asked last, with the frame of each decision.
+    /// The decisions about the target since the last call, with the frame of each.
     pub(crate) fn take_account(&mut self) -> Vec<(FrameOrder, AccountEntry)> {
         self.account.as_mut().map(|(_, entries)| std::mem::take(entries)).unwrap_or_default()
     }
 
-    /// Notes what happened to a target, if somebody asks. Nothing is decided by that.
+    /// Records an event of a target, if it has an account. It has no effect on decisions.
     fn note(&mut self, order: FrameOrder, target: usize, entry: AccountEntry) {
         if let Some((_, entries)) = self.account.as_mut().filter(|(asked, _)| *asked == target) {
             entries.push((order, entry));
         }
     }
 
-    /// Notes a pass over a target with what became of its pose.
+    /// Records a pass over a target with the outcome of its pose.
     fn note_trial(&mut self, order: FrameOrder, target: usize, trial: Trial, outcome: Outcome) {
         self.note(order, target, AccountEntry::Ran(Trial { outcome, ..trial }));
     }
 
-    /// Takes in and notes what a pass over a target has measured.
+    /// Handles and records the measurement of a pass over a target.
     fn take_in_trial(
         &mut self,
         time: FrameTime,

@@ -1,31 +1,31 @@
-//! What fusion does next, as data.
+//! The next work of fusion, as data.
 
 use flockeye_contract::FrameOrder;
 
-/// A piece of work, in the order of its urgency: what is due first is the least. Of two alike, the
-/// frame that was exposed first has it first.
+/// A piece of work, in the order of its urgency: the most urgent is the least. Of two equal ones,
+/// the frame with the earlier exposure comes first.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum Work {
-    /// Make the first plan. It opens the flow: rectification has something to follow, and a
-    /// lossless source its first credit.
+    /// Make the first plan. It starts the flow: rectification has a plan to follow, and a lossless
+    /// source its first credit.
     OpenFlow,
     /// Measure tracked targets in regions of interest that have been cut, from their predictions
     /// alone.
     MeasureRegions {
-        /// When the first of them came, as a count of regions.
+        /// Arrival of the first of them, as a count of regions.
         arrival: u64,
         order: FrameOrder,
     },
     /// Measure targets whose regions of interest have been searched for markers.
     MeasureRecords { order: FrameOrder },
-    /// Take in what a background pass has found.
+    /// Handle the result of a background pass.
     TakeAnswer,
-    /// Measure all that is left in a complete frame.
+    /// Measure the rest of a complete frame.
     MeasureFrame { order: FrameOrder },
-    /// Look for an untracked target at some places of a measured frame, or end the frame where none
+    /// Search for an untracked target at some places of a measured frame, or end the frame if none
     /// are left.
     SearchPlaces { order: FrameOrder },
-    /// Complete a frame for which nothing more is waited.
+    /// Complete a frame that awaits no more messages.
     CompleteFrame {
         order: FrameOrder,
         /// Whether something is missing: its deadline has passed, or too many frames are open.

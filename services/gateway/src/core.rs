@@ -1,5 +1,5 @@
-//! What becomes of each message: reports for the swarm, and the peers' sightings for the pipeline.
-//! It has no port, no clock and no network.
+//! Processing of each message: reports for the swarm, and the peers' sightings for the pipeline. It
+//! has no port, no clock and no network.
 
 use std::collections::BTreeMap;
 
@@ -18,7 +18,7 @@ use crate::odometry::OwnOdometry;
 use crate::selection::FrameSelection;
 use crate::swarm::{peer_sighting, swarm_pose};
 
-/// All that the gateway knows.
+/// The gateway's state.
 #[derive(Debug)]
 pub(crate) struct Core {
     observer_from_camera: UnitQuaternion<f64>,
@@ -50,20 +50,20 @@ impl Core {
         }
     }
 
-    /// This drone has turned.
+    /// Takes a rotation of this drone.
     pub(crate) fn on_rotation(&mut self, rotation: &Rotation) {
         if let Some(turn) = camera_turn(rotation) {
             self.swarm.turned(&turn.in_frame(&self.observer_from_camera));
         }
     }
 
-    /// The autopilot's estimate of this drone's motion.
+    /// Takes the autopilot's estimate of this drone's motion.
     pub(crate) fn on_odometry(&mut self, sample: &OdometrySample) {
         self.odometry.add(sample);
     }
 
-    /// Tracks of a frame. Gives the frame's report where there is news of it for the swarm, and how
-    /// long after the exposure that is, nanoseconds; `clocks` says how the peers' clocks differ.
+    /// Takes tracks of a frame. Returns the frame's report where there is news for the swarm, and
+    /// the time since the exposure, nanoseconds. `clocks` returns the offsets of the peers' clocks.
     pub(crate) fn on_tracks(
         &mut self,
         header: &TrackHeader,
@@ -93,7 +93,8 @@ impl Core {
         Some((report, latency_ns))
     }
 
-    /// A peer's sighting. Gives it as the topic `peer` has it; none for this drone's own.
+    /// Takes a peer's sighting. Returns it in the format of the topic `peer`; none for this drone's
+    /// own.
     pub(crate) fn on_sighting(&mut self, heard: &TimedSighting) -> Option<PeerSighting> {
         let report = PeerReport::from(heard);
         (report.observer != self.swarm.own()).then(|| {
@@ -102,12 +103,12 @@ impl Core {
         })
     }
 
-    /// Where all drones are at an instant of CLOCK_MONOTONIC.
+    /// Poses of all drones at an instant of CLOCK_MONOTONIC.
     pub(crate) fn swarm(&mut self, at_ns: i64) -> Vec<SwarmPose> {
         self.swarm.places(at_ns).iter().map(swarm_pose).collect()
     }
 
-    /// The observers whose reports contradict the others', and are left out.
+    /// The observers that are left out, because their reports contradict the others'.
     pub(crate) fn left_out(&self) -> Vec<String> {
         self.swarm.left_out()
     }

@@ -9,20 +9,20 @@ use flockeye_contract::{FrameStamp, MeasuredBy, Pose, Track, TrackState};
 use flockeye_convert::{matrix6, upper_triangle};
 use nalgebra::{Matrix3, Vector3};
 
-/// Time from one report of nobody to the next, nanoseconds.
+/// Period of reports without targets, nanoseconds.
 const NOBODY_NS: i64 = 1_000_000_000;
-/// Time from one report with the peers' clocks to the next, nanoseconds.
+/// Period of reports with the peers' clocks, nanoseconds.
 const CLOCKS_NS: i64 = 1_000_000_000;
-/// Above this share of the distance a deviation is no small error: the square, which a covariance
-/// leaves out, is 4 %.
+/// Share of the distance above which a standard deviation is no small error. There the squared
+/// term, which a covariance omits, is 4 %.
 const DEGENERATE_SHARE: f64 = 0.2;
-/// Above this deviation, radians, a rotation is no small one: its sine is 4 % off.
+/// Standard deviation above which a rotation is no small one, radians: its sine is 4 % off.
 const DEGENERATE_ROTATION: f64 = 0.5;
 
-/// Gathers the targets of a frame as they become known.
+/// Gathers the targets of a frame as they arrive.
 ///
-/// Fusion publishes a pose as soon as it is known. So the report of a frame goes out with the first
-/// of its targets, and again, whole, with each further one.
+/// Fusion publishes each pose as soon as it has it. So a frame's report is sent with the first of
+/// its targets, and again, completely, with each further one.
 #[derive(Debug, Default)]
 pub(crate) struct Gathering {
     stamp: FrameStamp,
@@ -32,7 +32,7 @@ pub(crate) struct Gathering {
 }
 
 impl Gathering {
-    /// Takes in tracks of a frame. Returns whether there is something to report now.
+    /// Takes tracks of a frame. Returns whether a report is due now.
     pub(crate) fn take(
         &mut self,
         stamp: &FrameStamp,
@@ -61,8 +61,8 @@ impl Gathering {
         is_news || is_due
     }
 
-    /// The report of the frame as far as it is known; who reports it, when and from where is left
-    /// open. `clocks` is called when it is time for them.
+    /// The report of the frame with the targets so far; observer, times and odometry are left open.
+    /// `clocks` is called when its period is over.
     pub(crate) fn report(
         &mut self,
         now_ns: i64,
@@ -88,8 +88,8 @@ impl Gathering {
     }
 }
 
-/// A track as a report has it. `None` for those that peers do not get: tentative tracks, which may
-/// be nobody, and states that this version does not know.
+/// A track in the format of reports. `None` for tracks that peers do not get: tentative ones, which
+/// may be false, and states unknown to this version.
 fn target_report(track: &Track, stamp: &FrameStamp) -> Option<TargetReport> {
     let state = TrackState::try_from(track.state).ok()?;
     let measured_by = MeasuredBy::try_from(track.measured_by).ok()?;
@@ -102,7 +102,7 @@ fn target_report(track: &Track, stamp: &FrameStamp) -> Option<TargetReport> {
         orientation: track.measured_observer_from_target.orientation,
         covariance: upper_triangle(&track.measured_covariance),
     });
-    // In a lossless run, which is not in real time, nothing is foreseen.
+    // A lossless run is not in real time, so it has no predictions.
     let after_ns = track.predicted_ns.saturating_sub(stamp.exposure_ns);
     let predicted = (after_ns > 0).then(|| Predicted {
         after_s: after_ns as f64 * 1e-9,
@@ -127,7 +127,7 @@ fn target_report(track: &Track, stamp: &FrameStamp) -> Option<TargetReport> {
     })
 }
 
-/// The directions in which next to nothing is known of a track.
+/// The directions in which a track's pose is nearly unknown.
 fn degenerate(track: &Track) -> Option<Degenerate> {
     let covariance = matrix6(&track.covariance);
     let distance = Vector3::from(track.observer_from_target.position).norm();
@@ -144,7 +144,7 @@ fn degenerate(track: &Track) -> Option<Degenerate> {
     (degenerate.position.is_some() || degenerate.rotation.is_some()).then_some(degenerate)
 }
 
-/// The direction of the largest deviation, and that deviation.
+/// The direction of the largest standard deviation, and its value.
 fn worst(covariance: &Matrix3<f64>) -> Option<([f64; 3], f64)> {
     let eigen = covariance.symmetric_eigen();
     let index = eigen.eigenvalues.imax();

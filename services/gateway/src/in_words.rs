@@ -1,10 +1,10 @@
-//! The state of all peers in words for people.
+//! A text for people on the state of all peers.
 
 use std::time::Instant;
 
 use flockeye_network::Peers;
 
-/// A text of who is there, what they see, and whose messages were refused.
+/// Text with the peers that are alive, their sightings, and refused messages.
 pub(crate) fn in_words(peers: &Peers, own_name: &str, left_out: &[String]) -> String {
     let now = Instant::now();
     let others = peers.observers.iter().filter(|(name, _)| *name != own_name);

@@ -1,14 +1,14 @@
-//! Stage: tracks to the swarm over Zenoh, and the peers' reports back.
+//! Stage: sends tracks to the swarm over Zenoh, and receives the peers' reports.
 //!
 //! | module | what it does |
 //! | --- | --- |
-//! | `core` | what becomes of each message |
+//! | `core` | processing of each message |
 //! | `frame` | all targets of a frame as one report |
-//! | `selection` | which frames are reported where not all are |
-//! | `odometry` | where this drone was at an exposure |
-//! | `swarm` | where all drones are, as the topics have it |
-//! | `in_words` | the peers' state in words for people |
-//! | `security_warnings` | links of strangers, and the end of the certificate |
+//! | `selection` | selection of the reported frames, where the rate is limited |
+//! | `odometry` | this drone's pose at an exposure |
+//! | `swarm` | conversion of poses and sightings to the topics' formats |
+//! | `in_words` | the peers' state as a text for people |
+//! | `security_warnings` | warnings about refused links and the certificate's expiry |
 //! | `link` | the session |
 //! | `stage` | the ports around it |
 

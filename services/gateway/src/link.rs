@@ -1,4 +1,4 @@
-//! The link with the swarm, and what it says in words for people.
+//! The link with the swarm, and a text on its state for people.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -12,10 +12,10 @@ use flockeye_runtime::logs::Throttle;
 use crate::in_words::in_words;
 use crate::security_warnings::SecurityWarnings;
 
-/// Reports of peers that may wait for the next look.
+/// Maximum reports of peers that wait until they are read.
 const WAITING_REPORTS: usize = 1_024;
 
-/// The session, and what is sent and received by it.
+/// The session with its reporter and listener.
 pub(crate) struct SwarmLink {
     network: Network,
     security: SecurityWarnings,
@@ -29,7 +29,7 @@ impl SwarmLink {
     /// Opens the session.
     ///
     /// # Errors
-    /// A port that is taken, keys that cannot be used.
+    /// A port is in use, or keys are invalid.
     pub(crate) fn open(parameters: &NetworkParameters) -> Result<Self, NetworkError> {
         let network = Network::open(parameters)?;
         let listener = network.listener()?;
@@ -45,7 +45,8 @@ impl SwarmLink {
         })
     }
 
-    /// Sends a report and returns at once. False, with a warning, where no peer would accept it.
+    /// Sends a report and returns at once. False, with a warning, for a report that peers would
+    /// refuse.
     pub(crate) fn send(&mut self, report: FrameReport) -> bool {
         let sent = self.reporter.report(report);
         if let Err(error) = &sent
@@ -56,19 +57,19 @@ impl SwarmLink {
         sent.is_ok()
     }
 
-    /// The next sighting of a peer, if one has come.
+    /// The next sighting of a peer, if one waits.
     pub(crate) fn next_sighting(&self) -> Option<TimedSighting> {
         self.reports.try_recv()
     }
 
-    /// How the peers' clocks differ from this machine's, whose UTC is so far ahead of
+    /// Offsets of the peers' clocks, where this machine's UTC is `utc_less_monotonic_ns` ahead of
     /// CLOCK_MONOTONIC.
     pub(crate) fn clocks(&self, utc_less_monotonic_ns: i64) -> BTreeMap<String, ClockOffset> {
         let clocks = self.listener.snapshot().clocks(utc_less_monotonic_ns);
         clocks.into_iter().map(|(peer, clock)| (peer, clock.to_wire())).collect()
     }
 
-    /// Logs what has happened to the link itself, and gives who is there in words.
+    /// Logs security warnings of the link, and returns the peers' state as text.
     pub(crate) fn look(&mut self, own_name: &str, left_out: &[String]) -> String {
         self.security.look(&self.network);
         in_words(&self.listener.snapshot(), own_name, left_out)

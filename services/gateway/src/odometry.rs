@@ -1,4 +1,4 @@
-//! Where this drone was at an exposure, by its autopilot's estimate.
+//! This drone's pose at an exposure, from its autopilot's estimate.
 
 use flockeye_contract::OdometrySample;
 use flockeye_contract::wire::Odometry;
@@ -14,7 +14,7 @@ pub(crate) struct OwnOdometry {
     motions: Timeline<OwnMotion>,
 }
 
-/// How the drone moves at one instant.
+/// The drone's motion at one instant.
 #[derive(Debug, Clone, PartialEq)]
 struct OwnMotion {
     odom_from_observer: Isometry3<f64>,
@@ -24,7 +24,7 @@ struct OwnMotion {
 }
 
 impl OwnOdometry {
-    /// Takes in a sample. One of another origin makes all before it worthless.
+    /// Adds a sample. One with another origin invalidates all samples before it.
     pub(crate) fn add(&mut self, sample: &OdometrySample) {
         let origin = Some((sample.generation, sample.epoch));
         if self.origin != origin {

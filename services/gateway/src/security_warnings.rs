@@ -1,10 +1,10 @@
-//! Warnings about links of strangers, and about the end of the drone's own certificate.
+//! Warnings about refused links, and about the expiry of the drone's own certificate.
 
 use flockeye_network::Network;
 use flockeye_runtime::clock::utc_s;
 use flockeye_runtime::logs::Throttle;
 
-/// Seconds left of the certificate at which a warning is logged.
+/// Remaining validity of the certificate at which a warning is logged, seconds.
 const REMIND_S: [i64; 4] = [7 * 86_400, 86_400, 3_600, 0];
 
 /// The warnings that were logged so far.
@@ -16,7 +16,7 @@ pub(crate) struct SecurityWarnings {
 }
 
 impl SecurityWarnings {
-    /// Logs what is new.
+    /// Logs new warnings.
     pub(crate) fn look(&mut self, network: &Network) {
         let (refused, why) = network.refused_links();
         if refused > self.refused_links
@@ -46,7 +46,7 @@ impl SecurityWarnings {
         }
     }
 
-    /// The limit that is newly passed.
+    /// The limit that was passed since the last reminder.
     fn reminder(&self, left_s: i64) -> Option<i64> {
         let limit_s = REMIND_S.into_iter().rev().find(|limit_s| left_s <= *limit_s)?;
         self.reminded.is_none_or(|reminded| limit_s < reminded).then_some(limit_s)

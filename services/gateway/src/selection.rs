@@ -1,31 +1,30 @@
-//! Which frames are reported where not all are (`gateway.report_hz`).
+//! Selection of the reported frames, where the rate is limited (`gateway.report_hz`).
 
 use std::collections::VecDeque;
 
 use flockeye_contract::FrameStamp;
 
-/// Maximum decisions that are kept: more tracks of those frames may come.
+/// Maximum decisions that are kept: more tracks of those frames may arrive.
 const REMEMBERED: usize = 16;
-/// A frame that comes earlier than it is due, by this share of the period, is reported: exposures
-/// are not evenly spaced.
+/// Divisor of the period that gives how early a frame may be: exposures are not evenly spaced.
 const EARLY: i64 = 4;
 
-/// Decides on each frame once, so that it is reported as a whole or not at all.
+/// Decides once for each frame, so that it is reported completely or not at all.
 #[derive(Debug, Default)]
 pub(crate) struct FrameSelection {
-    /// From report to report, nanoseconds. `None`: each frame is reported.
+    /// Period of reports, nanoseconds. `None`: each frame is reported.
     period_ns: Option<i64>,
     due_ns: i64,
     decided: VecDeque<(FrameStamp, bool)>,
 }
 
 impl FrameSelection {
-    /// A selection of at most `hz` frames a second on the average. `None`: all of them.
+    /// A selection of at most `hz` frames per second on average. `None`: all of them.
     pub(crate) fn new(hz: Option<f64>) -> Self {
         Self { period_ns: hz.map(|hz| (1e9 / hz) as i64), ..Self::default() }
     }
 
-    /// Whether a frame is reported that was exposed then.
+    /// Whether the frame with this exposure is reported.
     pub(crate) fn admits(&mut self, stamp: &FrameStamp, exposure_ns: i64) -> bool {
         let Some(period_ns) = self.period_ns else { return true };
         let known = self.decided.iter().find(|(other, _)| other.order() == stamp.order());

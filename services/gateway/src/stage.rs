@@ -12,18 +12,19 @@ use flockeye_runtime::{Context, Stage, Step, clock};
 use crate::core::Core;
 use crate::link::SwarmLink;
 
-/// How often a network that cannot be had is tried again, nanoseconds.
+/// Period at which a network that failed is opened again, nanoseconds.
 const RETRY_NS: i64 = 5_000_000_000;
-/// How often the peers' state is put into words, nanoseconds.
+/// Period of the text on the peers' state, nanoseconds.
 const DETAIL_NS: i64 = 500_000_000;
-/// How often it is looked whether a peer has reported something, nanoseconds.
+/// Period of the check for reports of peers, nanoseconds.
 const LISTEN_NS: i64 = 10_000_000;
-/// How often the swarm's poses are published, nanoseconds.
+/// Period of the swarm's poses, nanoseconds.
 const SWARM_NS: i64 = 100_000_000;
-/// The swarm's poses take at most a tenth of the time.
+/// Pause relative to the computing time of the swarm's poses, which then take at most about a tenth
+/// of the time.
 const SWARM_PAUSE: i64 = 10;
 
-/// Takes tracks; gives reports to the swarm, and the pipeline what peers report.
+/// Sends tracks as reports to the swarm, and publishes the peers' reports to the pipeline.
 pub(crate) struct GatewayStage {
     tracks: Subscriber<Tracks>,
     rotations: Subscriber<Rotations>,
@@ -46,7 +47,7 @@ impl Stage for GatewayStage {
     fn open(context: &Context, ports: &mut Ports) -> anyhow::Result<Self> {
         let resolved = &context.resolved;
         let parameters = NetworkParameters::of_drone(&resolved.pipeline);
-        // What can never work is reported before the flight; what may come yet is waited for.
+        // Permanent errors end the start; the stage waits for temporary ones to pass.
         parameters.check().or_else(|error| if error.may_pass() { Ok(()) } else { Err(error) })?;
         let rotation = resolved.observer_from_camera.rotation;
         let report_hz = resolved.pipeline.gateway.report_hz;

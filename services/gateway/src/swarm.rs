@@ -1,10 +1,10 @@
-//! Where all drones are, as the topics have it.
+//! Conversion of poses and sightings to the topics' formats.
 
 use flockeye_contract::{PeerSighting, SwarmPose};
 use flockeye_convert::{pose, row_major};
 use flockeye_peer::{DronePlace, PeerReport};
 
-/// A peer's report as the topic `peer` has it. `own` is this drone's name.
+/// A peer's report in the format of the topic `peer`. `own` is this drone's name.
 pub(crate) fn peer_sighting(report: &PeerReport, own: &str) -> PeerSighting {
     let seen = report.observer_from_target;
     let inverse = report.target_from_observer();
@@ -27,7 +27,7 @@ pub(crate) fn peer_sighting(report: &PeerReport, own: &str) -> PeerSighting {
     }
 }
 
-/// A drone's pose as the topic `swarm` has it.
+/// A drone's pose in the format of the topic `swarm`.
 pub(crate) fn swarm_pose(place: &DronePlace) -> SwarmPose {
     SwarmPose {
         own_from_drone: pose(&place.own_from_drone.a_from_b),

@@ -1,4 +1,4 @@
-//! The connection to an autopilot: on a thread of its own, because reading blocks.
+//! The connection to an autopilot, on a thread of its own because reading blocks.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -16,49 +16,49 @@ use mavlink::{MavHeader, MessageData};
 use crate::core::{AUTOPILOT, Sender};
 use crate::message::{AutopilotSample, MessageKind, sample};
 
-/// How often the thread looks whether it shall stop while the line is not there.
+/// Period at which the thread checks its stop flag while the line is closed.
 const LOOK: Duration = Duration::from_millis(100);
 
-/// Time between two of our heartbeats, without which routers send nothing.
+/// Period of our heartbeats. Routers send nothing without them.
 const HEARTBEAT_PERIOD: Duration = Duration::from_secs(1);
 
-/// Time without samples after which they are asked for again.
+/// Time without samples after which they are requested again.
 const ASK_PERIOD: Duration = Duration::from_secs(2);
 
-/// Time between two attempts to open a line that is not there.
+/// Time between two attempts to open a closed line.
 const REOPEN_PERIOD: Duration = Duration::from_secs(1);
 
-/// Rate at which samples are asked for.
+/// Requested rate of the samples.
 const SAMPLES_HZ: f64 = 200.0;
 
-/// Our component: that of an onboard computer.
+/// MAVLink component of this process: an onboard computer.
 const ONBOARD_COMPUTER: u8 = 191;
 
-/// News that wait for the stage: seconds of samples.
+/// Capacity of the queue to the stage: seconds of samples.
 const NEWS: usize = 4096;
 
-/// What comes over the connection.
+/// Event of the connection.
 #[derive(Debug)]
 pub enum News {
     /// The line is open.
     Opened,
-    /// The line is not there, or has gone; it is tried again.
+    /// The line could not be opened or was lost; it is tried again.
     Lost {
-        /// Why.
+        /// The reason.
         reason: String,
     },
     /// A sample.
     Sample {
-        /// Who sent it.
+        /// System and component that sent it.
         sender: Sender,
         /// The sample.
         sample: AutopilotSample,
-        /// When it arrived, CLOCK_MONOTONIC, nanoseconds.
+        /// Time of arrival, CLOCK_MONOTONIC, nanoseconds.
         arrived_ns: i64,
     },
 }
 
-/// The thread that reads. Dropping it stops it.
+/// The thread that reads. A drop stops it.
 #[derive(Debug)]
 pub struct SampleReceiver {
     news: Receiver<News>,
@@ -67,19 +67,21 @@ pub struct SampleReceiver {
 }
 
 impl SampleReceiver {
-    /// Begins to listen.
+    /// Starts the thread.
     ///
     /// # Errors
-    /// The system gives no thread.
+    /// The system starts no thread.
     pub fn listen(address: MavlinkAddress) -> std::io::Result<Self> {
         let (sender, news) = sync_channel(NEWS);
         let stopping = Arc::new(AtomicBool::new(false));
-        let line = Line { address, news: sender, stopping: stopping.clone() };
-        let thread = Builder::new().name("mavlink".into()).spawn(move || line.run())?;
+        let is_stopping = stopping.clone();
+        let thread = Builder::new()
+            .name("mavlink".into())
+            .spawn(move || run(&address, &sender, &is_stopping))?;
         Ok(Self { news, stopping, thread: Some(thread) })
     }
 
-    /// The next news, if any comes within `timeout`.
+    /// Returns the next event, if one arrives within `timeout`.
     ///
     /// # Errors
     /// The thread has ended.
@@ -105,75 +107,69 @@ impl Drop for SampleReceiver {
     }
 }
 
-/// What the thread works with.
-struct Line {
-    address: MavlinkAddress,
-    news: SyncSender<News>,
-    stopping: Arc<AtomicBool>,
-}
-
-impl Line {
-    fn run(&self) {
-        while !self.is_stopping() {
-            match link::open(&self.address) {
-                Ok((reader, writer)) => {
-                    self.tell(News::Opened);
-                    if let Err(error) = self.listen(reader, writer) {
-                        self.tell(News::Lost { reason: error.to_string() });
-                    }
+/// Opens the line and reads, again and again, until the stop flag is set.
+fn run(address: &MavlinkAddress, news: &SyncSender<News>, stopping: &AtomicBool) {
+    while !stopping.load(Ordering::Relaxed) {
+        match link::open(address) {
+            Ok((reader, writer)) => {
+                publish(news, News::Opened);
+                if let Err(error) = listen(reader, writer, news, stopping) {
+                    publish(news, News::Lost { reason: error.to_string() });
                 }
-                Err(error) => self.tell(News::Lost { reason: error.to_string() }),
             }
-            let closed = Instant::now();
-            while !self.is_stopping() && closed.elapsed() < REOPEN_PERIOD {
-                std::thread::sleep(LOOK);
-            }
+            Err(error) => publish(news, News::Lost { reason: error.to_string() }),
         }
-    }
-
-    fn is_stopping(&self) -> bool {
-        self.stopping.load(Ordering::Relaxed)
-    }
-
-    /// News that do not fit are dropped: the stage is busy, and the next sample is newer.
-    fn tell(&self, news: News) {
-        let _ = self.news.try_send(news);
-    }
-
-    /// Reads until the line is lost, or the thread shall stop.
-    fn listen(&self, mut reader: LineReader, mut writer: LineWriter) -> std::io::Result<()> {
-        let mut dialogue = Dialogue::default();
-        while !self.is_stopping() {
-            reader.read(&mut |header, message| {
-                let arrived_ns = clock::monotonic_ns();
-                let sender = (header.system_id, header.component_id);
-                dialogue.hear(sender, message);
-                if let Some(sample) = sample(message) {
-                    self.tell(News::Sample { sender, sample, arrived_ns });
-                }
-                header.component_id == AUTOPILOT
-            })?;
-            dialogue.speak(&mut writer);
+        let closed = Instant::now();
+        while !stopping.load(Ordering::Relaxed) && closed.elapsed() < REOPEN_PERIOD {
+            std::thread::sleep(LOOK);
         }
-        Ok(())
     }
 }
 
-/// What is sent to the autopilot, and when.
+/// Sends an event. If the queue is full, the event is dropped: the stage is busy, and the next
+/// sample is newer.
+fn publish(news: &SyncSender<News>, event: News) {
+    let _ = news.try_send(event);
+}
+
+/// Reads until the line is lost or the stop flag is set.
+fn listen(
+    mut reader: LineReader,
+    mut writer: LineWriter,
+    news: &SyncSender<News>,
+    stopping: &AtomicBool,
+) -> std::io::Result<()> {
+    let mut dialogue = Dialogue::default();
+    while !stopping.load(Ordering::Relaxed) {
+        reader.read(&mut |header, message| {
+            let arrived_ns = clock::monotonic_ns();
+            let sender = (header.system_id, header.component_id);
+            dialogue.receive(sender, message);
+            if let Some(sample) = sample(message) {
+                publish(news, News::Sample { sender, sample, arrived_ns });
+            }
+            header.component_id == AUTOPILOT
+        })?;
+        dialogue.send_due(&mut writer);
+    }
+    Ok(())
+}
+
+/// Messages to the autopilot, with their times.
 #[derive(Debug, Default)]
 struct Dialogue {
     system: Option<u8>,
     heartbeat: Option<Instant>,
     sampled: Option<Instant>,
     asked: Option<Instant>,
-    /// The number of the next message.
+    /// Sequence number of the next message.
     sequence: u8,
 }
 
 impl Dialogue {
-    fn hear(&mut self, (system, component): Sender, message: &MavMessage) {
+    fn receive(&mut self, (system, component): Sender, message: &MavMessage) {
         if component == AUTOPILOT && self.system.is_none() {
-            // Commands are addressed with eight bits.
+            // Commands have eight bits for the address.
             self.system = u8::try_from(system).ok();
         }
         if sample(message).is_some_and(|sample| sample.kind == MessageKind::HighresImu) {
@@ -181,9 +177,9 @@ impl Dialogue {
         }
     }
 
-    /// Sends what is due. A line that cannot be written to can still be read, so nothing is made of
-    /// errors: the autopilot may be set to send without being asked.
-    fn speak(&mut self, writer: &mut LineWriter) {
+    /// Sends the messages that are due. A line that cannot be written to can still be read, so
+    /// errors are ignored. The autopilot may be configured to send without a request.
+    fn send_due(&mut self, writer: &mut LineWriter) {
         let is_due =
             |last: Option<Instant>, period| last.is_none_or(|last| last.elapsed() >= period);
         let Some(system_id) = self.system else { return };
@@ -193,7 +189,7 @@ impl Dialogue {
         }
         if is_due(self.sampled, ASK_PERIOD) && is_due(self.asked, ASK_PERIOD) {
             self.asked = Some(Instant::now());
-            // Both are asked for: autopilots that do not have one answer so, and send the other.
+            // Both are requested: an autopilot without one of them refuses it, and sends the other.
             for message in [HIGHRES_IMU_DATA::ID, ATTITUDE_QUATERNION_DATA::ID] {
                 self.send(
                     writer,

@@ -1,14 +1,15 @@
-//! Which samples go out: those of one autopilot, in one kind of message, on this machine's clock.
+//! Selection of the samples to publish: those of one autopilot, in one kind of message, on this
+//! machine's clock.
 
 use flockeye_contract::{ImuSample, MAX_IMU_RATE};
 
 use crate::message::{AutopilotSample, MessageKind};
 use crate::sensor_clock::SensorClock;
 
-/// Time without samples after which another autopilot, or another message, is taken, nanoseconds.
+/// Time without samples after which another autopilot or another message is accepted, nanoseconds.
 const SILENT_NS: i64 = 1_000_000_000;
 
-/// Who sent a message: system and component.
+/// Sender of a message: system and component.
 pub(crate) type Sender = (u32, u8);
 
 /// The component that is the autopilot. Gimbals and cameras on the same line have sensors of their
@@ -20,7 +21,7 @@ pub(crate) const AUTOPILOT: u8 = 1;
 pub(crate) struct Core {
     clock: Option<SensorClock>,
     last: Option<LastSample>,
-    /// Rises each time the sensor's clock begins anew.
+    /// Number of restarts of the sensor's clock.
     pub(crate) epoch: u32,
     has_begun: bool,
     last_at_ns: i64,
@@ -34,9 +35,9 @@ struct LastSample {
 }
 
 impl Core {
-    /// Takes in a sample that arrived at `arrived_ns` (CLOCK_MONOTONIC), and gives it as it goes
-    /// out. `None` where it does not: it is another drone's or another component's, a better
-    /// message carries the same, it is not new, or its rate is none.
+    /// Converts a sample that arrived at `arrived_ns` (CLOCK_MONOTONIC) to the published form.
+    /// `None` if it is not published: it comes from another drone or component, a better message
+    /// has the same data, it is not new, or its rate is invalid.
     pub(crate) fn on_sample(
         &mut self,
         sender: Sender,
@@ -72,7 +73,7 @@ impl Core {
         Some(ImuSample { at_ns, rate, specific_force })
     }
 
-    /// Whether samples have come within the last second, and in which message.
+    /// Message of the newest sample, if one arrived within the last second.
     pub(crate) fn newest(&self, now_ns: i64) -> Option<MessageKind> {
         self.last.filter(|last| now_ns - last.at_ns < SILENT_NS).map(|last| last.kind)
     }

@@ -2,14 +2,14 @@
 //!
 //! | module | what it does |
 //! | --- | --- |
-//! | [`autopilot`] | the connection: asks for samples, receives them, opens a lost line again |
+//! | [`autopilot`] | the connection: requests samples, receives them, reopens a lost line |
 //! | `message` | which MAVLink messages are samples, along Flockeye's axes |
 //! | `sensor_clock` | the autopilot's time on this machine's clock |
-//! | `core` | which of the samples go out |
-//! | `line_activity` | whether samples come |
+//! | `core` | which of the samples are published |
+//! | `line_activity` | whether samples arrive |
 //! | `stage` | the port |
 //!
-//! Whether the samples are right is egomotion's to judge, by the picture.
+//! Egomotion checks the samples against the picture.
 
 #![warn(unreachable_pub)]
 
@@ -20,7 +20,7 @@ mod message;
 mod sensor_clock;
 mod stage;
 
-/// The inertial stage's process. It is here so that it is compiled once, with the library.
+/// Entry point of the inertial process, in the library so that it is compiled once.
 pub fn main() -> std::process::ExitCode {
     flockeye_runtime::stage::main::<stage::InertialStage>()
 }

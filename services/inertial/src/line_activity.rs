@@ -1,31 +1,31 @@
-//! Whether samples come over the line to the autopilot. It has no port and no clock.
+//! Activity of the line to the autopilot. It has no port and no clock.
 
 use crate::message::MessageKind;
 
-/// Silence of a line after it was opened that is reported, nanoseconds: longer than an autopilot
+/// Time without samples on an open line that is reported, nanoseconds: longer than an autopilot
 /// needs to answer.
 const SILENT_NS: i64 = 3_000_000_000;
 
-/// What is known of the line.
+/// Activity of the line.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub(crate) enum LineActivity {
-    /// It is not there.
+    /// The line is closed.
     #[default]
     Lost,
-    /// It is open, and nothing comes since then, CLOCK_MONOTONIC, nanoseconds.
+    /// The line is open without samples since this time, CLOCK_MONOTONIC, nanoseconds.
     Silent { since_ns: i64, is_reported: bool },
-    /// Samples come.
+    /// Samples arrive.
     Active,
 }
 
-/// What is to be reported.
+/// Change to report.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum LineChange {
-    /// Samples come in this message.
+    /// Samples arrive in this message.
     Active(MessageKind),
     /// Samples have stopped.
     Stopped,
-    /// No samples come, though the line is open.
+    /// No samples arrive on the open line.
     Silent,
 }
 
@@ -39,8 +39,8 @@ impl LineActivity {
         *self = Self::Lost;
     }
 
-    /// What has changed until `now_ns`, when the newest samples came in the message `newest`;
-    /// `None`: they are too old.
+    /// Updates the state at `now_ns` and returns a change to report. `newest` is the message of the
+    /// newest samples; `None` if they are too old.
     pub(crate) fn check(&mut self, newest: Option<MessageKind>, now_ns: i64) -> Option<LineChange> {
         let change = match (*self, newest) {
             (Self::Silent { .. }, Some(kind)) => {

@@ -1,12 +1,11 @@
-//! Which MAVLink messages are samples of an inertial sensor.
+//! MAVLink messages that contain samples of an inertial sensor.
 
 use mavlink::dialects::development::{HighresImuUpdatedFlags, MavMessage};
 
-/// Which message a sample came in. The later in this list, the better.
+/// Message that contained a sample. Later ones in this list are better.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum MessageKind {
-    /// `ATTITUDE_QUATERNION`: rates filtered by the autopilot, its bias taken out; time to a
-    /// millisecond.
+    /// `ATTITUDE_QUATERNION`: rates filtered by the autopilot, without bias; time to a millisecond.
     AttitudeQuaternion,
     /// `HIGHRES_IMU`: rate and specific force; time to a microsecond.
     HighresImu,
@@ -15,7 +14,7 @@ pub enum MessageKind {
 /// A sample as the autopilot sends it, along Flockeye's axes: x forward, y left, z up.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct AutopilotSample {
-    /// The message it came in.
+    /// The message that contained it.
     pub kind: MessageKind,
     /// The autopilot's time, microseconds.
     pub time_us: u64,
@@ -25,8 +24,7 @@ pub struct AutopilotSample {
     pub specific_force: [f64; 3],
 }
 
-/// The sample that a message is; `None` for all other messages, and where the gyroscope has nothing
-/// new.
+/// The sample in a message; `None` for all other messages, and without new data of the gyroscope.
 pub(crate) fn sample(message: &MavMessage) -> Option<AutopilotSample> {
     match message {
         MavMessage::HIGHRES_IMU(imu) => {

@@ -1,15 +1,15 @@
 //! The autopilot's time on this machine's clock.
 //!
-//! A message's way takes some time, and never less than none. So the least difference of arrival
-//! and sensor time over the last seconds is the offset of the clocks, plus the shortest way. What
-//! that way is, and what the sensor's own filter adds, is in `inertial.time_offset_ms`.
+//! A message has a latency above zero. So the least difference of arrival and sensor time over the
+//! last seconds is the offset of the clocks plus the least latency. `inertial.time_offset_ms`
+//! states that latency and the delay of the sensor's own filter.
 
 /// Half of the time over which the least difference is taken, nanoseconds. Clocks of autopilots
-/// drift by some 50 us in a second, so it is not longer. Serial lines have a message without delay
-/// in much less.
+/// drift by some 50 us in a second, so it is not longer. On serial lines a message without delay
+/// occurs much sooner.
 const HALF_WINDOW_NS: i64 = 2_500_000_000;
 
-/// Step of the sensor's time back, or of the difference either way, that shows another clock,
+/// Step of the sensor's time back, or of the difference either way, that proves another clock,
 /// nanoseconds.
 const LEAP_NS: i64 = 1_000_000_000;
 
@@ -17,7 +17,7 @@ const LEAP_NS: i64 = 1_000_000_000;
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct SensorClock {
     last_sensor_ns: i64,
-    /// When this half of the window began, and the least differences in it and in the one before.
+    /// Start of this half of the window, and the least differences in it and in the one before.
     half_began_ns: i64,
     least_ns: i64,
     least_before_ns: i64,
@@ -25,7 +25,7 @@ pub(crate) struct SensorClock {
 
 impl SensorClock {
     /// Maps a sensor time that arrived at `arrived_ns` to this machine's clock (both
-    /// CLOCK_MONOTONIC), and says whether the sensor's clock has begun anew with it.
+    /// CLOCK_MONOTONIC). Also returns whether the sensor's clock has started anew.
     pub(crate) fn map(known: &mut Option<Self>, sensor_ns: i64, arrived_ns: i64) -> (i64, bool) {
         let difference_ns = arrived_ns - sensor_ns;
         let before = known.take().filter(|clock| {

@@ -15,10 +15,10 @@ use crate::core::Core;
 use crate::line_activity::{LineActivity, LineChange};
 use crate::message::MessageKind;
 
-/// How long the autopilot is waited for between two looks at everything else.
+/// Longest wait for the autopilot between two checks of everything else.
 const WAIT: Duration = Duration::from_millis(20);
 
-/// Takes nothing; gives the samples of an autopilot's inertial sensor.
+/// Sends the samples of an autopilot's inertial sensor. It receives no messages.
 pub(crate) struct InertialStage {
     imus: Publisher<Imus>,
     autopilot: SampleReceiver,
@@ -54,13 +54,13 @@ impl Stage for InertialStage {
     fn step(&mut self) -> anyhow::Result<Step> {
         let mut samples = Vec::new();
         let mut patience = WAIT;
-        // The number of messages is bounded: health must be sent however much comes.
+        // The number of messages is bounded, so that health is sent under any load.
         for _ in 0..MAX_IMU_SAMPLES {
             let Some(news) = self.autopilot.next(patience)? else { break };
             patience = Duration::ZERO;
             let epoch = self.core.epoch;
             let sample = self.on_news(news);
-            // A message has samples of one clock.
+            // A message contains samples of one clock only.
             if self.core.epoch != epoch {
                 self.send(epoch, &std::mem::take(&mut samples))?;
             }
@@ -109,7 +109,7 @@ impl InertialStage {
         Ok(self.imus.send(header, samples)?)
     }
 
-    /// Reports when samples begin, when they stop, and when none come.
+    /// Logs when samples begin, when they stop, and when none arrive.
     fn watch(&mut self) {
         let now_ns = clock::monotonic_ns();
         let source = &self.source;

@@ -40,7 +40,7 @@ fn measured(configuration: &Configuration, duration: Duration) -> anyhow::Result
     let own = [
         format!("instance=m{}", std::process::id()),
         "gateway.enabled=false".to_owned(),
-        // This is no flight.
+        // A trial run is no flight.
         "recording.folder=null".to_owned(),
     ];
     let pipeline = configuration.load_with(&[], &own)?;
@@ -152,7 +152,7 @@ fn plan(resolved: &Resolved, budget: &Budget) -> anyhow::Result<String> {
     Ok(text)
 }
 
-/// How frames are searched, and how often each part of the sphere is.
+/// Search mode of the frames, and search rate of each part of the sphere.
 fn search(resolved: &Resolved, partitions: usize) -> anyhow::Result<String> {
     let pipeline = &resolved.pipeline;
     let mode = pipeline.search.mode.name();
@@ -174,10 +174,10 @@ fn search(resolved: &Resolved, partitions: usize) -> anyhow::Result<String> {
     Ok(text)
 }
 
-/// How often each part of the sphere is searched, where nothing limits the work on a frame.
+/// Search rate of each part of the sphere, where nothing limits the work on a frame.
 fn sweep_of_all(resolved: &Resolved, partitions: usize, far: usize) -> String {
     let each = resolved.roi_options.partitions_per_frame;
-    // One of each kind in turn, until those of the smaller kind come a second time.
+    // One view of each kind in turn, until the smaller kind would repeat.
     let frames = |count: usize| if far == 0 { count } else { 2 * count }.div_ceil(each);
     let mut text =
         format!("; of each frame {each}: each partition every {} frames", frames(partitions));

@@ -143,10 +143,10 @@ enum FlockeyeCommand {
     ExecStage(ExecArguments),
 }
 
-/// Reads the command line and does what it asks for, or becomes the program that does.
+/// Reads the command line and runs the command, or becomes the program that does.
 ///
 /// # Errors
-/// As the command.
+/// The errors of the command.
 pub fn run() -> anyhow::Result<()> {
     let arguments: Vec<_> = std::env::args_os().skip(1).collect();
     if let Some(program) = other_programs::program_for(&arguments) {

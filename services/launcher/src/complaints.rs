@@ -1,28 +1,28 @@
-//! What follows from complaints of stages about others.
+//! Consequences of complaints that stages send about other stages.
 
 use std::time::{Duration, Instant};
 
-/// A worker that has left this many views without answer, one after the other, is replaced.
+/// Number of consecutive unanswered views after which a worker is replaced.
 ///
-/// The first silence already keeps it out of rotation, so the flight does not wait for this. A
-/// worker on a busy machine answers late now and then; three times in a row, each after
-/// `rectification.overdue_ms`, is no accident.
+/// The first silence already excludes the worker from the rotation, so the flight does not wait for
+/// this. A worker on a busy machine is late now and then. Three timeouts of
+/// `rectification.overdue_ms` in a row are no accident.
 pub(crate) const MOST_SILENCES: u64 = 3;
-/// A process is replaced when this many of its messages were refused.
+/// Number of refused messages after which a process is replaced.
 pub(crate) const MOST_REFUSED: u64 = 30;
-/// A worker that was replaced this often for its messages rests before it is started again.
+/// Number of replacements for bad messages after which a worker rests before its next start.
 const REPLACEMENTS_BEFORE_REST: usize = 3;
-/// A replacement that is longer ago than this no longer counts.
+/// Age after which a replacement no longer counts.
 const MEMORY: Duration = Duration::from_secs(60);
-/// How long a worker rests.
+/// Rest of a worker before its next start.
 ///
-/// A program that is wrong stays wrong, and each start costs the flight up to three silences of its
-/// views. A machine that was overloaded recovers, and must have its workers back. So nobody is
-/// given up for good. A wrong program is tried twice a minute.
+/// A wrong program stays wrong, and each start costs up to three unanswered views. A machine that
+/// was overloaded recovers, and needs its workers again. So no worker is given up for good. A wrong
+/// program is tried twice a minute.
 const REST: Duration = Duration::from_secs(30);
 
-/// Notes one more replacement at `now` of a worker that was `replaced` for its messages at these
-/// times. Returns how long it rests before it is started again; none: it does not rest.
+/// Notes a replacement of a worker at `now`. `replaced` holds the times of earlier replacements for
+/// bad messages. Returns the rest before the next start, if one is due.
 pub(crate) fn rest_before_next(replaced: &mut Vec<Instant>, now: Instant) -> Option<Duration> {
     replaced.retain(|&then| now.saturating_duration_since(then) < MEMORY);
     replaced.push(now);

@@ -1,9 +1,9 @@
-//! What the stages and the neighbours are doing, gathered from health, tracks and truth.
+//! State of the stages and the neighbours, collected from health, tracks and truth.
 //!
 //! | module | what it does |
 //! | --- | --- |
-//! | [`text`] | shows it as a table, as a line, and as a summary at the end |
-//! | [`report`] | the same as one value for programs |
+//! | [`text`] | the dashboard as a table, as a line, and as a summary at the end |
+//! | [`report`] | the dashboard as one value for programs |
 
 pub(crate) mod report;
 pub(crate) mod text;
@@ -17,42 +17,42 @@ use flockeye_runtime::health_rates::HealthRates;
 use flockeye_tables::sweep::SweepReport;
 use nalgebra::Vector3;
 
-/// Frames whose truth is kept until their tracks come.
+/// Maximum number of frames whose truth is kept until their tracks arrive.
 const TRUTH_FRAMES: usize = 256;
 
-/// What is known of the stages, of the neighbours and of the search.
+/// Current state of the stages, of the neighbours and of the search.
 #[derive(Default)]
 pub(crate) struct Dashboard {
     stages: BTreeMap<(String, u32), HealthRates>,
     neighbours: BTreeMap<String, NeighbourView>,
     truths: VecDeque<(FrameStamp, Vec<BodyTruth>)>,
     pub frames_ended: u64,
-    /// Frames that the source sent and that were not worked on.
+    /// Frames that the source sent and that no stage processed.
     pub frames_skipped: u64,
     last_frame: Option<FrameStamp>,
     has_truth: bool,
-    /// How often the sphere is searched.
+    /// Search rate of the sphere.
     pub sphere: Option<SweepReport>,
 }
 
 #[derive(Default)]
 struct NeighbourView {
     last: Option<(Track, i64)>,
-    /// The frame that `last` is of.
+    /// Frame of `last`.
     stamp: Option<FrameStamp>,
     error_m: Option<f64>,
     measured: u64,
     coasted: u64,
     eligible: u64,
     eligible_measured: u64,
-    /// Frames in which it was measured and that have not ended. Only ended frames count as
-    /// localisable.
+    /// Frames in which the neighbour was measured and that have not ended. Only ended frames count
+    /// as localisable.
     open: Vec<FrameStamp>,
     errors_mm: VecDeque<f64>,
     latencies_ms: VecDeque<f64>,
 }
 
-/// The newest values that are kept: an hour of frames. A long flight must not fill the memory.
+/// Maximum number of samples: an hour of frames. A long flight must not fill the memory.
 const MAX_SAMPLES: usize = 108_000;
 
 fn add_sample(samples: &mut VecDeque<f64>, value: f64) {
@@ -63,14 +63,14 @@ fn add_sample(samples: &mut VecDeque<f64>, value: f64) {
 }
 
 impl Dashboard {
-    /// Takes a stage's report.
+    /// Takes a health report of a stage.
     pub(crate) fn health(&mut self, health: &Health) {
         let key = (health.stage.to_string(), health.replica);
         let rates = self.stages.entry(key).or_insert_with(|| HealthRates::new(health));
         rates.take(health);
     }
 
-    /// The state that a stage reported last, if it ever did.
+    /// Last state that a stage reported, if any.
     pub(crate) fn state_of(&self, stage: &str, replica: u32) -> Option<StageState> {
         let view = self.stages.get(&(stage.to_owned(), replica))?;
         StageState::try_from(view.last.state).ok()
@@ -145,7 +145,7 @@ impl Dashboard {
         }
     }
 
-    /// What each worker's process reports: its stage, its number, and its reports.
+    /// Each worker's stage, number and health rates.
     pub(crate) fn workers(&self) -> impl Iterator<Item = (&str, u32, &HealthRates)> {
         self.stages.iter().map(|((stage, worker), rates)| (stage.as_str(), *worker, rates))
     }

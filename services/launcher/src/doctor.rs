@@ -1,13 +1,13 @@
 //! `flockeye doctor`: everything that can be wrong on a machine before a flight, each with its
 //! cure.
 //!
-//! | module | what it looks at |
+//! | module | what it examines |
 //! | --- | --- |
 //! | [`machine`] | processors, clock frequency, heat |
-//! | [`memory`] | shared memory, limits, who would remove it |
+//! | [`memory`] | shared memory, its limits, and services that would remove it |
 //! | [`programs`] | the stages' programs, and what each of them needs |
 //! | [`theta`] | a Ricoh Theta on the USB |
-//! | [`clock`] | whether the clock is synchronised, and by what |
+//! | [`clock`] | clock synchronisation |
 //! | [`network`] | addresses, the interface, keys and certificates |
 
 pub(crate) mod clock;
@@ -27,7 +27,7 @@ use serde_json::json;
 
 pub(crate) use files::Machine;
 
-/// Examines this machine, and shows what it found.
+/// Examines this machine, and shows the findings.
 pub(crate) fn run(configuration: &Configuration, json: bool) -> anyhow::Result<()> {
     let pipeline = configuration.load()?;
     let mut findings = Vec::new();

@@ -1,11 +1,11 @@
 //! `flockeye exec-stage`: the first instructions of a stage's process.
 //!
-//! The stage must die with the launcher, even if that is killed. So this process first asks the
-//! kernel for a signal at the launcher's death, then checks that the launcher still lives. A stage
-//! that is to fly on without it (`--keep`) first writes a record of itself, by which the next
-//! launcher finds it, and only then takes that request back: no process is ever lost. It also asks
-//! for processors, nice value and scheduling policy, which survive the exec. Then it becomes the
-//! stage, whatever language that is written in.
+//! The stage must die with the launcher, even if that is killed. So this process first requests a
+//! signal from the kernel at the launcher's death. Then it checks that the launcher still lives. A
+//! stage that must fly on without it (`--keep`) first writes a record of itself for the next
+//! launcher. Only then it withdraws that request: no process is ever lost. The process also sets
+//! its processors, nice value and scheduling policy, which survive the exec. Then it executes the
+//! stage's program, in any language.
 
 use std::ffi::OsString;
 use std::os::unix::process::CommandExt;
@@ -65,7 +65,7 @@ pub fn run(arguments: &ExecArguments) -> anyhow::Result<()> {
         write_record(arguments).context("cannot write the record of this process")?;
         set_parent_process_death_signal(None).context("cannot outlive the launcher")?;
     }
-    // A stage still works if its scheduling is refused.
+    // A stage works even if its scheduling is refused.
     let refusals = [apply_cpus(arguments), apply_nice(arguments), apply_policy(arguments)];
     for refusal in refusals.into_iter().flatten() {
         eprintln!("{refusal}");
@@ -79,7 +79,7 @@ pub fn run(arguments: &ExecArguments) -> anyhow::Result<()> {
     std::process::exit(i32::from(CANNOT_START))
 }
 
-/// Tells later launchers which process this is.
+/// Writes the record by which later launchers find this process.
 fn write_record(arguments: &ExecArguments) -> anyhow::Result<()> {
     let variable = |name: &str| std::env::var(name).with_context(|| format!("{name} is not set"));
     let command = arguments.command.iter().map(|part| part.to_string_lossy().into_owned());
@@ -93,7 +93,7 @@ fn write_record(arguments: &ExecArguments) -> anyhow::Result<()> {
     Ok(process.write(&PathBuf::from(variable(FOLDER_VARIABLE)?))?)
 }
 
-/// Asks for the processors. Returns why they are refused.
+/// Sets the processors. Returns the reason of a refusal.
 fn apply_cpus(arguments: &ExecArguments) -> Option<String> {
     if arguments.cpus.is_empty() {
         return None;
@@ -110,7 +110,7 @@ fn apply_cpus(arguments: &ExecArguments) -> Option<String> {
     ))
 }
 
-/// Asks for the nice value. Returns why it is refused.
+/// Sets the nice value. Returns the reason of a refusal.
 fn apply_nice(arguments: &ExecArguments) -> Option<String> {
     if arguments.nice == 0 {
         return None;
@@ -123,7 +123,7 @@ fn apply_nice(arguments: &ExecArguments) -> Option<String> {
     ))
 }
 
-/// Asks for the scheduling policy. Returns why it is refused.
+/// Sets the scheduling policy. Returns the reason of a refusal.
 fn apply_policy(arguments: &ExecArguments) -> Option<String> {
     let policy = arguments.scheduling?;
     let refused = scheduling::apply_to_this_thread(policy, arguments.priority).err()?;

@@ -1,19 +1,19 @@
-//! Places in a hand-over at which a test stops the launcher, and kills it or another process.
+//! Fault points: steps of a hand-over at which a test stops the launcher and kills a process.
 //!
 //! They are built in with the feature `fault-points` alone, as `make test` does, and never in what
 //! flies.
 
 use std::path::Path;
 
-/// The line that the launcher shows at its start if it has fault points.
+/// Notice that a launcher with fault points shows at its start.
 #[cfg(feature = "fault-points")]
 pub(crate) const NOTICE: Option<&str> = Some("this build has fault points, for tests alone");
-/// The line that the launcher shows at its start if it has fault points.
+/// Notice that a launcher with fault points shows at its start.
 #[cfg(not(feature = "fault-points"))]
 pub(crate) const NOTICE: Option<&str> = None;
 
-/// Waits here if the file `fault` in the instance's folder names this step, until somebody removes
-/// the file `fault-reached` that takes its place.
+/// Waits here if the file `fault` in the instance's folder names this step. The file becomes
+/// `fault-reached`; its removal ends the wait.
 #[cfg(feature = "fault-points")]
 pub(crate) fn pass(folder: &Path, step: &str) {
     use std::time::{Duration, Instant};

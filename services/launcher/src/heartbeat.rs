@@ -1,11 +1,11 @@
-//! Whether a process that sends no health hangs, or only has not had the processor.
+//! Hang detection: distinguishes a hung process from one that has not had the processor.
 
-/// The state of a process as the system gives it (proc(5), `/proc/PID/stat`).
+/// State of a process from `/proc/PID/stat` (proc(5)).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct ProcessStat {
     /// R running, S sleeping, D waiting for a disk, T stopped, t traced, Z dead.
     pub state: char,
-    /// Processor time that it has used, nanoseconds.
+    /// Processor time used by the process, nanoseconds.
     pub used_ns: i64,
 }
 
@@ -16,7 +16,7 @@ impl ProcessStat {
     }
 
     fn parse(text: &str) -> Option<Self> {
-        // The program's name may hold anything, blanks and parentheses too.
+        // The program's name may contain any character, including blanks and parentheses.
         let (_, rest) = text.rsplit_once(')')?;
         let mut fields = rest.split_whitespace();
         let state = fields.next()?.chars().next()?;
@@ -27,20 +27,19 @@ impl ProcessStat {
     }
 }
 
-/// Watches one process.
+/// Hang detector of one process.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Heartbeat {
-    /// The newest report, and the processor time used until it was noticed.
+    /// Time of the newest report, and the processor time used until then.
     last: Option<(i64, i64)>,
 }
 
 impl Heartbeat {
-    /// Whether a process hangs whose newest report is of `sent_ns`, given its state at `now_ns`.
+    /// Whether a process hangs at `now_ns`, given its newest report of `sent_ns`.
     ///
-    /// It hangs if it was silent for `heartbeat_ns` although nothing kept it from its work: it is
-    /// stopped, or sleeps while none of its threads works either, or it has used that much
-    /// processor time meanwhile. One that is ready to run and gets no processor, or waits for a
-    /// disk, is only slow.
+    /// A process hangs if it sent nothing for `heartbeat_ns` although nothing kept it from its
+    /// work. It is stopped, or it sleeps while no thread works, or it used that much processor time
+    /// meanwhile. A process that waits for the processor or a disk is only slow.
     pub(crate) fn hangs(
         &mut self,
         sent_ns: i64,

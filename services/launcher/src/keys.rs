@@ -28,7 +28,21 @@ pub(crate) enum KeysCommand {
         authority: AuthorityChoice,
     },
     /// Make a key and a certificate for a drone, an onlooker or a router, or renew them.
-    Issue(IssueArguments),
+    Issue {
+        /// The name, as `observer.name` has it.
+        name: String,
+        #[command(flatten)]
+        authority: AuthorityChoice,
+        /// The folder for its files. Without it: one of its name.
+        #[arg(long, value_name = "FOLDER")]
+        into: Option<PathBuf>,
+        /// How long the certificate holds: 12h, 30days.
+        #[arg(long = "for", value_name = "DURATION", value_parser = duration, default_value = HOLDS)]
+        holds: Duration,
+        /// It is a router: it passes on what others say.
+        #[arg(long)]
+        router: bool,
+    },
     /// Take somebody off the roster, and revoke all its certificates.
     Revoke {
         /// Whom.
@@ -50,28 +64,14 @@ pub(crate) struct AuthorityChoice {
     authority: PathBuf,
 }
 
-/// Arguments of `keys issue`.
-#[derive(Debug, Args)]
-pub(crate) struct IssueArguments {
-    /// The name, as `observer.name` has it.
-    name: String,
-    #[command(flatten)]
-    authority: AuthorityChoice,
-    /// The folder for its files. Without it: one of its name.
-    #[arg(long, value_name = "FOLDER")]
-    into: Option<PathBuf>,
-    /// How long the certificate holds: 12h, 30days.
-    #[arg(long = "for", value_name = "DURATION", value_parser = duration, default_value = HOLDS)]
-    holds: Duration,
-    /// It is a router: it passes on what others say.
-    #[arg(long)]
-    router: bool,
-}
-
 pub(crate) fn run(command: &KeysCommand) -> anyhow::Result<()> {
     match command {
         KeysCommand::Init { swarm, authority } => init(swarm, &authority.authority),
-        KeysCommand::Issue(arguments) => issue(arguments),
+        KeysCommand::Issue { name, authority, into, holds, router } => {
+            let into = into.clone().unwrap_or_else(|| PathBuf::from(name));
+            let role = if *router { Role::Router } else { Role::Member };
+            issue(authority, name, role, *holds, &into)
+        }
         KeysCommand::Revoke { name, authority } => revoke(name, authority),
         KeysCommand::List(choice) => list(choice),
         KeysCommand::Rules(choice) => {
@@ -91,16 +91,19 @@ fn init(swarm: &str, folder: &Path) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn issue(arguments: &IssueArguments) -> anyhow::Result<()> {
-    let mut authority = open(&arguments.authority)?;
+fn issue(
+    choice: &AuthorityChoice,
+    name: &str,
+    role: Role,
+    holds: Duration,
+    into: &Path,
+) -> anyhow::Result<()> {
+    let mut authority = open(choice)?;
     let before = authority.roster().number;
-    let into = arguments.into.clone().unwrap_or_else(|| PathBuf::from(&arguments.name));
-    let role = if arguments.router { Role::Router } else { Role::Member };
-    let (issued, files) =
-        authority.issue(&arguments.name, role, arguments.holds, &into, utc_s())?;
+    let (issued, files) = authority.issue(name, role, holds, into, utc_s())?;
     let mut screen = Screen::new();
     screen.line(&format!("{}: holds {}", into.display(), left(&issued)));
-    if arguments.router {
+    if role == Role::Router {
         let path = into.join("zenohd.json5");
         std::fs::write(&path, router_text(&authority)?)
             .with_context(|| format!("cannot write {}", path.display()))?;
@@ -114,7 +117,7 @@ fn issue(arguments: &IssueArguments) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// What pipeline.yaml needs.
+/// Settings that pipeline.yaml needs.
 fn settings(files: &MemberFiles) -> String {
     let MemberFiles { ca, certificate, key, roster } = files;
     let line = |key: &str, path: &Path| format!("\n    {key}: {}", path.display());
@@ -185,7 +188,7 @@ fn router_text(authority: &Authority) -> anyhow::Result<String> {
     Ok(serde_json::to_string_pretty(&config)? + "\n")
 }
 
-/// How long a certificate still holds.
+/// Remaining validity of a certificate.
 fn left(issued: &Issued) -> String {
     let days = (issued.not_after_s - utc_s()) as f64 / DAY_S;
     if days < 0.0 { "no longer".into() } else { format!("{days:.1} days") }

@@ -1,5 +1,5 @@
 //! The `flockeye` command: it creates the shared memory, starts and watches the stages' processes,
-//! and shows what they do. The data path does not need it. Commands that no flight needs are passed
+//! and shows their state. The data path does not need it. Commands that no flight needs are passed
 //! on to other programs.
 //!
 //! | module | what it does |
@@ -9,26 +9,26 @@
 //! | `up` | runs a pipeline until it ends |
 //! | `supervisor` | starts, watches and replaces its processes |
 //! | `swap` | replaces a process in flight, so that no frame is lost |
-//! | [`control`] | the socket by which a running pipeline is asked to do something |
-//! | `manage` | the commands that ask: status, stop, start, restart, swap |
-//! | `status` | what runs, as a table and as JSON |
-//! | `run_log` | what a run receives: shown, recorded and summed up |
+//! | [`control`] | the socket for requests to a running pipeline |
+//! | `manage` | the commands that send requests: status, stop, start, restart, swap |
+//! | `status` | status of the processes, as a table and as JSON |
+//! | `run_log` | messages of a run: shown, recorded and summed up |
 //! | [`process`] | one stage's process: started, restarted, stopped, never an orphan |
 //! | `heartbeat` | whether a silent process hangs |
 //! | `complaints` | when complaints of a process lead to its replacement |
-//! | `dashboard` | what the stages and the neighbours are doing, as a table and as JSON |
-//! | `check` | what a configuration means on this machine |
-//! | `doctor` | what could keep this machine from flying, and what to do about it |
-//! | `metrics` | what is offered to Prometheus |
+//! | `dashboard` | state of the stages and the neighbours, as a table and as JSON |
+//! | `check` | consequences of a configuration on this machine |
+//! | `doctor` | faults that could keep this machine from flying, and their cures |
+//! | `metrics` | metrics for Prometheus |
 //! | `service_manager` | reports a run to systemd |
-//! | `top` | where a running pipeline's time goes, live or as JSON |
+//! | `top` | rates and latencies of a running pipeline, live or as JSON |
 //! | `trace` | frames' paths through all processes, for Perfetto |
-//! | `sweep_watch` | how often a running pipeline searches each part of the sphere |
-//! | `peers` | what the whole swarm reports over Zenoh |
+//! | `sweep_watch` | search rate of each part of the sphere |
+//! | `peers` | reports of the whole swarm over Zenoh |
 //! | `keys` | the authority of a swarm, its members' keys and certificates |
-//! | `clean` | removes what dead runs left behind |
+//! | `clean` | removes leftovers of dead runs |
 //! | `bodies` | the marker bodies |
-//! | `fault_point` | where tests stop a hand-over |
+//! | `fault_point` | steps of a hand-over at which tests stop it |
 //! | [`exec`] | the first instructions of a stage's process |
 
 #![warn(unreachable_pub)]

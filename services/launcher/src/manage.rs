@@ -1,5 +1,4 @@
-//! `flockeye status`, `stop`, `start`, `restart` and `swap`: what a running pipeline is asked to
-//! do.
+//! `flockeye status`, `stop`, `start`, `restart` and `swap`: requests to a running pipeline.
 
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -44,7 +43,7 @@ pub(crate) struct SwapArguments {
     pub program: Vec<String>,
 }
 
-/// Ends a worker, or the whole pipeline, also one whose stages fly on without a launcher.
+/// Ends a worker, or the whole pipeline, even if its stages fly on without a launcher.
 pub(crate) fn stop(worker: Option<WorkerName>, running: &PipelineChoice) -> anyhow::Result<()> {
     let instance = choose(running)?;
     if worker.is_none() && !instance.has_launcher() {
@@ -69,7 +68,7 @@ pub(crate) fn swap(arguments: &SwapArguments) -> anyhow::Result<()> {
     let mut screen = Screen::new();
     let mut swapped = changed(file).with_context(|| format!("{}", file.display()))?;
     while !stopping.load(Ordering::Relaxed) {
-        // The failure was shown; the next change of the file may mend it.
+        // The failure was shown; the next change of the file may correct it.
         if let Err(error) = ask_and_show(&arguments.running, &request, arguments.json) {
             screen.line(&format!("{error:#}"));
         }
@@ -79,9 +78,9 @@ pub(crate) fn swap(arguments: &SwapArguments) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Ends stages that fly on without a launcher, and removes what they leave.
+/// Ends stages that fly on without a launcher, and removes their leftovers.
 fn end_without_launcher(instance: &Instance) -> anyhow::Result<()> {
-    // From now on no launcher takes them over.
+    // From now on no launcher takes the stages over.
     let (ownership, kept) = instance.take_over()?;
     let living = || kept.iter().filter(|process| process.is_alive(instance.folder()));
     let count = living().count();
@@ -100,7 +99,7 @@ fn end_without_launcher(instance: &Instance) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Asks the launcher of a running pipeline, and shows its progress and its answer.
+/// Sends a request to the launcher of a running pipeline, and shows its progress and its reply.
 pub(crate) fn ask_and_show(
     running: &PipelineChoice,
     request: &ControlRequest,
@@ -117,8 +116,8 @@ pub(crate) fn ask_and_show(
     Ok(())
 }
 
-/// A part of a command as the launcher must get it, which runs in a folder of its own: what is a
-/// file here is named by its whole path.
+/// Argument in the form that the launcher needs. The launcher runs in another folder, so a file is
+/// named by its absolute path.
 fn absolute(part: &str) -> String {
     let path = Path::new(part);
     match path.components().count() > 1 && path.exists() {
@@ -132,13 +131,13 @@ fn changed(file: &Path) -> std::io::Result<SystemTime> {
     std::fs::metadata(file)?.modified()
 }
 
-/// Waits until the file has another time than `before`, and that for a moment: a compiler writes
-/// for a while.
+/// Waits until the file's time differs from `before` and stays unchanged for a moment: compilers
+/// write for a while.
 fn wait_for_change(file: &Path, before: SystemTime, stopping: &AtomicBool) -> SystemTime {
     let mut last = before;
     while !stopping.load(Ordering::Relaxed) {
         std::thread::sleep(Duration::from_millis(300));
-        // While it is written anew, the file may not be there.
+        // While a compiler writes the file, it may be missing.
         let Ok(now) = changed(file) else { continue };
         if now != before && now == last {
             return now;

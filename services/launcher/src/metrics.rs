@@ -1,9 +1,9 @@
-//! What a run offers to Prometheus (`metrics.listen` in pipeline.yaml): counters, gauges and
-//! latencies as text, and whether the pipeline lives and is ready.
+//! Metrics of a run for Prometheus (`metrics.listen` in pipeline.yaml): counters, gauges,
+//! latencies, liveness and readiness.
 //!
 //! | module | what it does |
 //! | --- | --- |
-//! | [`snapshot`] | what there was at one moment, as metrics |
+//! | [`snapshot`] | metrics of one moment |
 //! | [`endpoint`] | answers requests |
 
 pub(crate) mod endpoint;
@@ -25,11 +25,11 @@ use crate::dashboard::Dashboard;
 use endpoint::MetricsPage;
 use snapshot::{Labels, LatestMetrics, metrics_of};
 
-/// How often what is offered is brought up to date.
+/// Update period of the metrics.
 const PERIOD: Duration = Duration::from_secs(1);
 
-/// Upper bounds of the latencies' bins, seconds: from a fast stage to a pose that is too late for
-/// anybody.
+/// Upper bounds of the latencies' bins, seconds: from a fast stage to a pose that is useless by its
+/// age.
 const LATENCY_BOUNDS_S: [f64; 14] = [
     0.001, 0.002, 0.004, 0.006, 0.010, 0.015, 0.020, 0.033, 0.050, 0.075, 0.100, 0.200, 0.500, 1.0,
 ];
@@ -40,7 +40,7 @@ fn latencies() -> Histogram {
 
 type Latencies = Family<Labels, Histogram, fn() -> Histogram>;
 
-/// What a run offers.
+/// Exporter of a run's metrics.
 pub(crate) struct MetricsExporter {
     registry: Registry,
     latencies: Latencies,
@@ -52,7 +52,7 @@ pub(crate) struct MetricsExporter {
 }
 
 impl MetricsExporter {
-    /// Offers them at this address.
+    /// Serves the metrics at this address.
     pub(crate) fn serve(listen: SocketAddr, instance: &str) -> anyhow::Result<Self> {
         let metrics = Self::new(instance);
         endpoint::start(listen, metrics.page.clone()).with_context(|| {
@@ -97,7 +97,7 @@ impl MetricsExporter {
         }
     }
 
-    /// Brings what is offered up to date, if it is time.
+    /// Updates the metrics, if the period has passed.
     pub(crate) fn update(&mut self, dashboard: &Dashboard, now_ns: i64) {
         let now = Instant::now();
         if now < self.next {

@@ -11,8 +11,8 @@ use flockeye_cli::{lab, replay, workshop};
 const RECORDER: &str = "flockeye-recorder";
 const VIEWER: &str = "flockeye-viewer";
 
-/// The command that begins these arguments of `flockeye`, or whose help they ask for; and what
-/// follows it.
+/// The command that begins these arguments of `flockeye`, or whose help is requested, and the
+/// arguments after it.
 fn command_in(arguments: &[OsString]) -> Option<(&OsString, &[OsString])> {
     match arguments {
         [help, command, rest @ ..] if help == "help" => Some((command, rest)),
@@ -21,7 +21,7 @@ fn command_in(arguments: &[OsString]) -> Option<(&OsString, &[OsString])> {
     }
 }
 
-/// The program that does what these arguments ask for, if it is not `flockeye` itself.
+/// The program that runs these arguments, if it is not `flockeye` itself.
 pub(crate) fn program_for(arguments: &[OsString]) -> Option<&'static str> {
     let (command, _) = command_in(arguments)?;
     let is_one_of = |commands: &[CommandInfo]| commands.iter().any(|known| command == known.name);
@@ -35,8 +35,7 @@ pub(crate) fn program_for(arguments: &[OsString]) -> Option<&'static str> {
     }
 }
 
-/// The name that the help of `program` shows, and what the program gets of the arguments of
-/// `flockeye`.
+/// The name that the help of `program` shows, and its arguments out of those of `flockeye`.
 ///
 /// A program of several commands gets all of them. One of a single command gets what follows it.
 fn name_and_arguments(program: &str, arguments: &[OsString]) -> (String, Vec<OsString>) {
@@ -50,8 +49,8 @@ fn name_and_arguments(program: &str, arguments: &[OsString]) -> (String, Vec<OsS
     }
 }
 
-/// Replaces this process by another program of ours, for these arguments of `flockeye`. Signals and
-/// the exit status are then its own.
+/// Replaces this process by another program of Flockeye, for these arguments of `flockeye`. Signals
+/// and the exit status are then its own.
 pub(crate) fn become_program(program: &str, arguments: &[OsString]) -> anyhow::Result<()> {
     let (shown_name, passed_on) = name_and_arguments(program, arguments);
     let command = command_in(arguments).map(|(command, _)| command.to_string_lossy());

@@ -45,7 +45,7 @@ pub(crate) struct PeersArguments {
     pub duration: Option<Duration>,
 }
 
-/// How often the places of all drones are shown.
+/// Period of the poses of all drones.
 const SWARM_PERIOD: Duration = Duration::from_millis(100);
 /// Reports that may wait to be printed as JSON.
 const WAITING_REPORTS: usize = 1_024;
@@ -67,7 +67,7 @@ pub(crate) fn run(arguments: &PeersArguments) -> anyhow::Result<()> {
     }
 }
 
-/// How the swarm is reached.
+/// Access to the swarm's network.
 fn parameters(arguments: &PeersArguments) -> anyhow::Result<NetworkParameters> {
     let pipeline = match &arguments.instance {
         Some(name) => choose(&PipelineChoice { instance: Some(name.clone()) })?.pipeline()?,
@@ -91,7 +91,7 @@ fn hear(reports: &ReportStream, view: &mut SwarmView, patience: Duration) -> Opt
     Some(heard)
 }
 
-/// Where a drone is in the frame of `from`, for a line of JSON: metres, and a quaternion x y z w.
+/// Pose of a drone in the frame of `from`, for a line of JSON: metres, and a quaternion x y z w.
 /// The deviations are those of position (m) and rotation vector (rad).
 fn place_line(place: &DronePlace, at_ns: i64) -> Value {
     let pose = &place.own_from_drone;
@@ -111,7 +111,8 @@ fn age_ms(place: &DronePlace, at_ns: i64) -> f64 {
     at_ns as f64 * 1e-6 - place.seen_s * 1e3
 }
 
-/// Prints one JSON object per line: each report, and where all are. A closed pipe ends it.
+/// Prints one JSON object per line: each report, and the poses of all drones. A closed pipe ends
+/// the output.
 fn print_json(
     reports: &ReportStream,
     view: &mut SwarmView,
@@ -178,7 +179,7 @@ fn show_table(
     Ok(())
 }
 
-/// Where each drone is, and how that is known.
+/// Position of each drone, and the sightings behind it.
 fn swarm_table(places: &[DronePlace], at_ns: i64) -> String {
     let titles = ["drone", "known", "position m (x y z)", "dist m", "\u{b1} mm", "age ms"];
     let mut table = TextTable::new(2, &titles).at_least(&[16, 24, 24, 8, 6, 8]);

@@ -4,10 +4,10 @@
 //! | module | what it does |
 //! | --- | --- |
 //! | [`child`] | a process that runs, and how it ended |
-//! | [`output`] | what processes write, line by line |
+//! | [`output`] | output of processes, line by line |
 //! | [`command`] | how a process is started |
 //! | [`keeping`] | processes that fly on when their launcher dies |
-//! | [`memo`] | what is noted of a worker for a later launcher |
+//! | [`memo`] | memo of a worker for a later launcher |
 
 mod child;
 mod command;
@@ -25,7 +25,8 @@ use flockeye_config::{Restart, StageProcess};
 use flockeye_runtime::backoff::Backoff;
 use rustix::process::{Pid, Signal, kill_process_group};
 
-use self::child::{End, RunningProcess};
+pub use self::child::End;
+use self::child::RunningProcess;
 use self::command::{StartPlan, backoff};
 use self::output::KeptOutput;
 pub(crate) use self::output::LineSink;
@@ -34,48 +35,46 @@ pub use self::output::LogLine;
 use crate::control::WorkerName;
 use crate::heartbeat::Heartbeat;
 
-/// How long a process gets to end by itself after SIGTERM.
+/// Time for a process to end by itself after SIGTERM.
 pub const STOP_TIME: Duration = Duration::from_millis(1400);
-/// The system ends a killed process within this time.
+/// Deadline within which the system ends a killed process.
 pub(crate) const KILL_TIME: Duration = Duration::from_secs(5);
 
-/// What happened to a process since the last check.
+/// Change of a process since the last check.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum ProcessChange {
-    /// Nothing.
+    /// No change.
     None,
-    /// The process ended without being asked to.
+    /// The process ended without a request.
     Ended {
-        /// How it ended, in words.
-        how: String,
-        /// Whether its exit status says that another attempt is useless.
-        is_hopeless: bool,
-        /// How long until it is started again; `None`: its restart policy gives it up.
+        /// Its end.
+        end: End,
+        /// Time until it is started again; `None`: its restart policy gives it up.
         retry_in: Option<Duration>,
     },
-    /// The process ended as it was asked to, and stays so.
+    /// The process ended on request, and is not started again.
     Stopped,
     /// The process was started again, after the caller cleaned up dead nodes.
     Restarted,
 }
 
-/// What a process is doing, as far as the launcher decides it.
+/// Condition of a process, as far as the launcher decides it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Condition {
     New,
     Running,
     /// The process is started again at this time.
     Waiting(Instant),
-    /// The process is started again at this time, after a long rest: its messages were bad again
-    /// and again.
+    /// The process is started again at this time, after a long rest: its messages were bad
+    /// repeatedly.
     Resting(Instant),
-    /// The process was ended on demand.
+    /// The process was ended on request.
     Stopped,
-    /// The process failed for good.
+    /// The process failed permanently.
     GivenUp,
 }
 
-/// What follows when a running process ends that was asked to end.
+/// Consequence of a requested end, once the process has ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum EndRequest {
     Nothing,
@@ -89,25 +88,25 @@ enum EndRequest {
 pub struct Process {
     /// Which worker of which stage.
     pub worker: WorkerName,
-    /// How often it was replaced.
+    /// Number of replacements so far.
     pub generation: u32,
-    /// When it was replaced because of what it sent.
+    /// Times of the replacements for bad messages.
     pub(crate) replaced: Vec<Instant>,
-    /// Judges by the system whether it hangs while it sends no health.
+    /// Hang detector for the time in which it sends no health.
     pub(crate) heartbeat: Heartbeat,
-    /// Whether its start was found to take too long.
+    /// Whether it exceeded its start time.
     pub(crate) is_late: bool,
-    /// Whether the process was found to answer nothing.
+    /// Whether a complaint states that it answers nothing.
     pub(crate) is_silent: bool,
     /// The highest generation that any process of this worker has had.
     used_generations: u32,
-    /// Where its lines go, and its name there.
+    /// Label and destination of its log lines.
     lines: LineSink,
     start: StartPlan,
     restart: Restart,
     backoff: Backoff,
     child: Option<RunningProcess>,
-    /// Whether the worker's memo is written by this process: it is the one that counts.
+    /// Whether this process writes the worker's memo: it is the one that counts.
     is_remembered: bool,
     kept_output: Option<KeptOutput>,
     condition: Condition,
@@ -168,8 +167,8 @@ impl Process {
         }
     }
 
-    /// The process that may take the place of this one: of the next generation, with `command`
-    /// (empty: the same), and not yet started. It is never restarted by itself.
+    /// The process that may replace this one: of the next generation, with `command` (empty: the
+    /// same), and not yet started. It is never restarted by itself.
     pub(crate) fn successor(&mut self, command: &[String]) -> Self {
         let generation = self.take_generation();
         self.remember();
@@ -186,7 +185,7 @@ impl Process {
         Self::unstarted(self.worker, generation, start, lines, self.backoff.clone())
     }
 
-    /// Takes the place of `old`, which is returned and is never started again.
+    /// Replaces `old`, which is returned and is never started again.
     pub(crate) fn takes_the_place_of(mut self, old: &mut Self) -> Self {
         self.restart = old.restart;
         self.lines.rename(self.worker.to_string());
@@ -210,7 +209,7 @@ impl Process {
         &self.start.program
     }
 
-    /// Replaces its program and arguments from the next start on, and returns those of before.
+    /// Replaces its program and arguments from the next start on. Returns the former ones.
     pub(crate) fn set_command(&mut self, command: Vec<String>) -> Vec<String> {
         std::mem::replace(&mut self.start.program, command)
     }
@@ -224,7 +223,7 @@ impl Process {
         self.condition
     }
 
-    /// How long ago it was started or taken over.
+    /// Time since it was started or taken over.
     pub(crate) fn age(&self) -> Duration {
         self.started.elapsed()
     }
@@ -239,8 +238,8 @@ impl Process {
         self.used_generations
     }
 
-    /// Starts it. The calling thread must live as long as the launcher, because the kernel kills a
-    /// child with the *thread* that started it.
+    /// Starts it. The calling thread must live as long as the launcher: the kernel kills a child
+    /// with the *thread* that started it.
     ///
     /// # Errors
     /// The system cannot start a process.
@@ -278,13 +277,13 @@ impl Process {
         self.start()
     }
 
-    /// Asks it to end, and kills it if it does not in [`STOP_TIME`].
+    /// Requests its end, and kills it after [`STOP_TIME`].
     pub(crate) fn ask_to_stop(&mut self) {
         self.ask(EndRequest::Stop);
         self.remember();
     }
 
-    /// Asks it to end, and starts it again at once when it has.
+    /// Requests its end, and starts it again at once afterwards.
     pub(crate) fn ask_to_restart(&mut self) {
         self.ask(EndRequest::Restart);
     }
@@ -307,8 +306,8 @@ impl Process {
         self.signal(Signal::KILL);
     }
 
-    /// Checks on it: reaps it if it has ended, starts it again when its wait is over. `is_finished`
-    /// says whether it has reported that its input is at its end.
+    /// Checks on it: reaps it if it has ended, starts it again when its wait is over.
+    /// `is_finished`: it has reported the end of its input.
     ///
     /// # Errors
     /// It cannot be started again.
@@ -361,8 +360,8 @@ impl Process {
         if has_lived_long {
             self.backoff.reset();
         }
-        // Whatever its status is: a stage ends with the pipeline, and SIGTERM from elsewhere is a
-        // polite restart.
+        // The exit status has no influence: a stage ends with the pipeline, and SIGTERM from
+        // elsewhere is a polite restart.
         let retry_in = wants_restart(self.restart, is_finished).then(|| match has_lived_long {
             true => Duration::ZERO,
             false => self.backoff.after_failure(),
@@ -371,7 +370,7 @@ impl Process {
             Some(wait) => Condition::Waiting(Instant::now() + wait),
             None => Condition::GivenUp,
         };
-        ProcessChange::Ended { how: end.how, is_hopeless: end.is_hopeless, retry_in }
+        ProcessChange::Ended { end, retry_in }
     }
 
     /// Sends a signal to it and to every process that it has started.
@@ -381,7 +380,7 @@ impl Process {
         }
     }
 
-    /// Whether it has ended. It is not started again from now on.
+    /// Whether it has ended. From now on it is not started again.
     pub(crate) fn has_ended(&mut self) -> bool {
         if matches!(self.condition, Condition::Waiting(_) | Condition::Resting(_)) {
             self.condition = Condition::Stopped;
@@ -397,8 +396,8 @@ impl Process {
     }
 }
 
-/// Sends a signal to the process of this number, which is shown as `label`, and to every process
-/// that it has started.
+/// Sends a signal to the process of this number and to every process that it has started. `label`
+/// is its name in the log.
 pub(crate) fn signal_group(pid: u32, signal: Signal, label: &str) {
     if let Some(pid) = Pid::from_raw(pid.cast_signed())
         && let Err(error) = kill_process_group(pid, signal)
@@ -408,7 +407,7 @@ pub(crate) fn signal_group(pid: u32, signal: Signal, label: &str) {
     }
 }
 
-/// Whether a process is started again that ended without being asked to.
+/// Whether a process that ended without a request is started again.
 fn wants_restart(policy: Restart, is_finished: bool) -> bool {
     match policy {
         Restart::Never => false,
@@ -417,9 +416,9 @@ fn wants_restart(policy: Restart, is_finished: bool) -> bool {
     }
 }
 
-/// A process that lived this long did not fail at its start, and is started again at once. Starting
-/// one of our stages costs up to 0.3 s of a processor (a simulator more), so one that always ends
-/// after this takes a tenth of it.
+/// Minimum life of a process that did not fail at its start, so that it is started again at once.
+/// Starting one of our stages costs up to 0.3 s of a processor (a simulator more). One that always
+/// ends after this time takes a tenth of it.
 const LONG_LIFE: Duration = Duration::from_secs(3);
 
 #[cfg(test)]

@@ -1,4 +1,4 @@
-//! What a run receives from its stages: shown, recorded and summed up.
+//! Messages that a run receives from its stages: shown, recorded and summed up.
 
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
@@ -56,12 +56,12 @@ pub(crate) struct RunOptions {
     pub watches_sweep: bool,
 }
 
-/// The frames' clock when a frame's stream began, nanoseconds.
+/// Start of a frame's stream on the clock of the frames, nanoseconds.
 fn stream_zero_ns(stamp: &FrameStamp) -> i64 {
     stamp.exposure_ns.saturating_sub(stamp.stream_ns)
 }
 
-/// Samples that are kept while no frame has come.
+/// Maximum number of samples kept before the first frame.
 const MOST_EARLY_SAMPLES: usize = 20_000;
 
 #[derive(Debug, Clone, Copy, Default)]
@@ -69,9 +69,9 @@ pub(crate) struct RunSummary {
     pub frames: u64,
     /// Poses that were measured, in all frames.
     pub measured: u64,
-    /// From the first frame's end to the last one's, seconds.
+    /// Time from the first frame's end to the last one's, seconds.
     pub ends_s: f64,
-    /// How often each part of the sphere was searched, if that was asked for.
+    /// Search rate of each part of the sphere, if requested.
     pub sweep: Option<SweepReport>,
 }
 
@@ -85,30 +85,30 @@ pub(crate) struct RunLog {
     poses: Option<TableWriter<PoseRow>>,
     truth: Option<TableWriter<TruthRow>>,
     frame_times: Option<TableWriter<FrameTimes>>,
-    /// Samples that came before the first frame: then it is not known when the stream began.
+    /// Samples before the first frame, when the start of the stream is not known.
     early_samples: Vec<ImuSample>,
-    /// The frames' clock at the beginning of the stream, nanoseconds.
+    /// Start of the stream on the clock of the frames, nanoseconds.
     zero_ns: Option<i64>,
-    /// The frame of the rotation before.
+    /// Frame of the previous rotation.
     last_rotation: Option<FrameStamp>,
     sweep: Option<SweepWatch>,
     pub dashboard: Dashboard,
-    /// What is offered to Prometheus.
+    /// Exporter for Prometheus.
     metrics: Option<MetricsExporter>,
     /// A process beside the one that counts: its health is kept apart.
     pub beside: Option<(WorkerName, u32)>,
-    /// The newest frame of which a track came.
+    /// The newest frame with a track.
     pub newest: Option<FrameStamp>,
-    /// How many frames were asked for. Times of further frames are not recorded.
+    /// Requested number of frames. Times of further frames are not recorded.
     most_frames: u64,
     measured: u64,
     first_end_ns: Option<i64>,
     last_end_ns: i64,
-    /// When the last track came, or when the source was started if that was later.
+    /// Arrival of the last track, or start of the source if that was later.
     pub last_track: Instant,
 }
 
-/// A topic and the file that it is recorded to, if there is to be one.
+/// Subscriber of a topic and the file of its records, if one is requested.
 fn recorded<T: Topic, R: WrittenRow>(
     file: Option<&PathBuf>,
     ports: &mut Ports,
@@ -160,7 +160,7 @@ impl RunLog {
         })
     }
 
-    /// Takes the messages that have come.
+    /// Receives all waiting messages.
     pub(crate) fn receive(&mut self) -> anyhow::Result<()> {
         while let Some(message) = self.healths.receive()? {
             let health = &message.header;
@@ -226,12 +226,12 @@ impl RunLog {
         Ok(())
     }
 
-    /// Records the samples that have come, once a frame has shown when the stream began.
+    /// Records the waiting samples, once a frame has shown when the stream began.
     fn record_samples(&mut self) -> anyhow::Result<()> {
         let Some((imus, recorder)) = &mut self.imus else { return Ok(()) };
         while let Some(message) = imus.receive()? {
             self.early_samples.extend_from_slice(message.items());
-            // If no frame comes for hours, the newest samples are kept.
+            // If no frame arrives for hours, the newest samples are kept.
             let surplus = self.early_samples.len().saturating_sub(MOST_EARLY_SAMPLES);
             self.early_samples.drain(..surplus);
         }
@@ -254,7 +254,7 @@ impl RunLog {
         }
     }
 
-    /// Whether as many frames have ended as were asked for.
+    /// Whether the requested number of frames have ended.
     pub(crate) fn is_complete(&self) -> bool {
         self.dashboard.frames_ended >= self.most_frames
     }
@@ -271,7 +271,7 @@ impl RunLog {
         pid.is_some_and(|pid| self.dashboard.last_report(stage, replica, pid).is_some())
     }
 
-    /// Takes the last messages and completes the files.
+    /// Receives the last messages and completes the files.
     pub(crate) fn finish(&mut self) -> anyhow::Result<RunSummary> {
         self.receive()?;
         self.record_samples()?;

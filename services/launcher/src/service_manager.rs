@@ -1,21 +1,21 @@
 //! Reports a run to systemd (`Type=notify`, sd_notify(3)).
 //!
-//! The pipeline is ready when its first frame has passed through all stages. The watchdog is fed by
-//! frames that end and by nothing else, so it also notices what no stage's heart beat shows. While
-//! an operator has ended a stage, no frame is owed, and the launcher feeds it.
+//! The pipeline is ready when its first frame has passed through all stages. Only ended frames feed
+//! the watchdog, so it also notices faults that no heartbeat shows. While an operator has ended a
+//! stage, frames may stay away, and the launcher feeds it.
 
 use std::time::{Duration, Instant};
 
 use flockeye_runtime::logs::Throttle;
 use libsystemd::daemon::{NotifyState, notify, watchdog_enabled};
 
-/// How often the status is sent, at most.
+/// Minimum time between two status messages.
 const STATUS_PERIOD: Duration = Duration::from_secs(1);
 
 #[derive(Debug)]
 pub(crate) struct ServiceManager {
     is_ready: bool,
-    /// How often the watchdog is fed; `None`: there is none.
+    /// Period of the watchdog messages; `None`: there is no watchdog.
     feeding: Option<Duration>,
     frames_reported: u64,
     last_fed: Option<Instant>,
@@ -24,7 +24,7 @@ pub(crate) struct ServiceManager {
 }
 
 impl ServiceManager {
-    /// The service manager that started this process, if one did and listens.
+    /// The service manager that started this process, if there is one and it listens.
     pub(crate) fn of_environment() -> Option<Self> {
         std::env::var_os("NOTIFY_SOCKET")?;
         Some(Self::new(watchdog_enabled(false)))
@@ -33,7 +33,7 @@ impl ServiceManager {
     fn new(watchdog: Option<Duration>) -> Self {
         Self {
             is_ready: false,
-            // Half of it, as sd_watchdog_enabled(3) advises.
+            // Half of the timeout, as sd_watchdog_enabled(3) advises.
             feeding: watchdog.map(|timeout| timeout / 2),
             frames_reported: 0,
             last_fed: None,
@@ -42,8 +42,9 @@ impl ServiceManager {
         }
     }
 
-    /// Sends what is due after so many frames that have passed through all stages. `is_held_up`: a
-    /// stage was ended on demand, so frames may stay away. `status` gives a line once a second.
+    /// Sends the due messages. `frames_ended` counts frames that passed through all stages.
+    /// `is_held_up`: an operator ended a stage, so frames may stay away. `status` returns a line
+    /// once a second.
     pub(crate) fn report(
         &mut self,
         frames_ended: u64,

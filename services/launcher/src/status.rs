@@ -1,4 +1,4 @@
-//! What runs: the processes of a pipeline, as a table and as JSON.
+//! Status of a pipeline's processes, as a table and as JSON.
 
 use std::fmt;
 
@@ -11,7 +11,7 @@ use crate::control::WorkerName;
 pub(crate) struct PipelineStatus {
     pub instance: String,
     pub launcher_pid: u32,
-    /// For how long it has run, seconds.
+    /// Running time, seconds.
     pub running_s: f64,
     /// Frames that were searched to their end.
     pub frames: u64,
@@ -27,11 +27,11 @@ pub(crate) struct WorkerStatus {
     /// starting, ready, degraded, draining, finished, stopped, given up, is restarted, rests, waits
     /// for the others.
     pub state: String,
-    /// Its process while it runs.
+    /// Number of its process while it runs.
     pub pid: Option<u32>,
-    /// How often it was replaced.
+    /// Number of replacements so far.
     pub generation: u32,
-    /// For how long its process has run, seconds.
+    /// Running time of its process, seconds.
     pub age_s: Option<f64>,
     pub command: Vec<String>,
 }

@@ -2,17 +2,17 @@
 //!
 //! | module | what it does |
 //! | --- | --- |
-//! | [`console`] | shows the run to people and to systemd |
+//! | [`console`] | shows the run to the user and to systemd |
 //! | [`faults`] | notices processes that end, hang, start too slowly or do not do what they must |
-//! | [`hand_over`] | announces whose messages count |
+//! | [`hand_over`] | announces which process counts |
 //! | [`recorder`] | runs the recorder, where flights are recorded |
-//! | [`requests`] | does what clients ask for by the control channel |
+//! | [`requests`] | handles the requests of clients over the control channel |
 //! | [`shared_memory`] | creates all topics |
 //! | [`swaps`] | replaces a process in flight |
-//! | [`taking_over`] | goes on with the processes that an earlier launcher left flying |
-//! | [`unfinished_swap`] | goes back to what was before a swap whose launcher died |
-//! | [`waiting_client`] | answers clients when a worker is as it was asked to be |
-//! | [`workers`] | has the processes of all workers |
+//! | [`taking_over`] | takes over the processes that an earlier launcher left flying |
+//! | [`unfinished_swap`] | restores the state before a swap whose launcher died |
+//! | [`waiting_client`] | answers clients when a worker reaches a requested condition |
+//! | [`workers`] | holds the processes of all workers |
 
 mod console;
 mod faults;
@@ -48,16 +48,16 @@ use crate::fault_point;
 use crate::run_log::{RunLog, RunOptions, RunSummary};
 use crate::swap::changeover::Changeover;
 
-/// A recording has ended when its source has reported it and no track has come for this long.
+/// Time without a track after which a recording has ended, once its source has reported the end.
 const QUIET_TIME: Duration = Duration::from_millis(1000);
-/// Lines of log that may wait to be shown.
+/// Maximum number of log lines that wait to be shown.
 const LOG_LINES: usize = 1_000;
-/// How often the processes and the control channel are looked after.
+/// Period of the checks of processes and control channel.
 const TICK: Duration = Duration::from_millis(20);
 
 /// A pipeline that runs.
 pub(crate) struct Supervisor<'a> {
-    // Dropped in this order: ports before the shared memory.
+    // Fields drop in this order: ports before the shared memory.
     messages: RunLog,
     hand_over: HandOverNotice,
     complaints: Subscriber<Complaints>,
@@ -65,19 +65,19 @@ pub(crate) struct Supervisor<'a> {
     ports: Option<Ports>,
     memory: SharedMemory,
     instance: Instance,
-    /// The configuration as it is now.
+    /// The current configuration.
     pipeline: Pipeline,
     /// Whether the processes fly on when this one dies.
     is_kept: bool,
     workers: Workers,
-    /// Where flights are recorded.
+    /// Recorder, where flights are recorded.
     recorder: Option<Recorder>,
     server: Server,
     waiting_clients: Vec<WaitingClient>,
     is_asked_to_end: bool,
     started: Instant,
     source_started: Option<Instant>,
-    /// How long the source runs; `None`: until somebody ends the run.
+    /// Running time of the source; `None`: until the user ends the run.
     duration: Option<Duration>,
     console: Console<'a>,
 }
@@ -129,7 +129,7 @@ impl<'a> Supervisor<'a> {
         self.workers.start_consumers()
     }
 
-    /// Watches everything until it is time to stop.
+    /// Runs the loop until the pipeline must stop.
     pub(crate) fn watch(&mut self, stopping: &AtomicBool) -> anyhow::Result<()> {
         let Some(ports) = self.ports.take() else { return Ok(()) };
         let outcome = ports.attend(|| {
@@ -160,7 +160,7 @@ impl<'a> Supervisor<'a> {
 
     fn look_after_recorder(&mut self) {
         let memory = &self.memory;
-        // The dead process's ports are freed before its successor asks for its own.
+        // The dead process's ports are freed before its successor opens new ones.
         let change =
             self.recorder.as_mut().and_then(|recorder| recorder.attend(|| memory.clean_up()));
         if let Some(text) = change {
@@ -168,7 +168,7 @@ impl<'a> Supervisor<'a> {
         }
     }
 
-    /// Starts the source when all others are ready, or after a while: a foreign stage may send no
+    /// Starts the source when all others are ready, or after a timeout: a foreign stage may send no
     /// health.
     fn start_source_in_time(&mut self) -> anyhow::Result<()> {
         if self.source_started.is_some()
@@ -182,13 +182,13 @@ impl<'a> Supervisor<'a> {
         Ok(())
     }
 
-    /// How long a stage may take to be ready.
+    /// Maximum time until a stage is ready.
     fn start_time(&self) -> Duration {
         Duration::from_secs_f64(self.pipeline.supervision.start_s)
     }
 
-    /// Whether every stage has opened what it needs, and the recorder misses nothing. A degraded
-    /// stage counts: it waits for something outside, such as a gateway for its network port.
+    /// Whether every stage is ready and the recorder misses nothing. A degraded stage counts: it
+    /// waits for an external device, such as a network port.
     fn all_are_ready(&self) -> bool {
         let mut workers = self.workers.processes.iter().map(|process| process.worker);
         workers.all(|worker| worker.stage.is_source() || self.messages.is_ready(worker))
@@ -204,7 +204,7 @@ impl<'a> Supervisor<'a> {
         self.source_has_finished() && self.messages.last_track.elapsed() > QUIET_TIME
     }
 
-    /// Whether it ran for longer than it takes to start.
+    /// Whether it ran longer than its start time.
     pub(crate) fn had_its_time(&self) -> bool {
         self.source_has_run(self.start_time()) || self.is_at_end()
     }
@@ -214,11 +214,11 @@ impl<'a> Supervisor<'a> {
         self.source_started.is_some_and(|start| start.elapsed() >= time)
     }
 
-    /// Stops every stage: asks first, then kills.
+    /// Stops every stage: first by SIGTERM, then by SIGKILL.
     pub(crate) fn stop(&mut self) {
         self.console.report_stop();
         self.workers.stop(self.changeover.new_process(), &mut self.console);
-        // Last, so that it has recorded everything.
+        // The recorder ends last, so that it has recorded everything.
         if let Some(text) = self.recorder.as_mut().and_then(Recorder::stop) {
             self.console.line(&text);
         }

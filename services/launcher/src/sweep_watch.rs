@@ -1,4 +1,4 @@
-//! How often a running pipeline searches each part of the sphere.
+//! Search rate of each part of the sphere in a running pipeline.
 
 use flockeye_config::Resolved;
 use flockeye_contract::{Detections, Plans};
@@ -20,9 +20,9 @@ impl SweepWatch {
         Ok(Some(Self { plans, detections, sweep }))
     }
 
-    /// Takes the messages that have come.
+    /// Receives all waiting messages.
     pub(crate) fn receive(&mut self) -> Result<(), PortError> {
-        // Plans first, because records refer to them.
+        // Plans come first, because records refer to them.
         while let Some(plan) = self.plans.receive()? {
             self.sweep.plan(plan.header.plan_id, plan.items());
         }

@@ -5,7 +5,7 @@ use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
 use clap::Args;
-use flockeye_cli::running::{Attached, PipelineChoice, attach};
+use flockeye_cli::running::{PipelineChoice, attach};
 use flockeye_cli::{Screen, duration, signals};
 use flockeye_contract::{Healths, Tracks, Truths};
 use flockeye_runtime::clock;
@@ -30,16 +30,16 @@ pub(crate) struct TopArguments {
     pub duration: Option<Duration>,
 }
 
-/// Health comes four times a second. After this long, rates average several reports.
+/// Time after which rates average several reports. Health arrives four times a second.
 const ONCE_AFTER: Duration = Duration::from_secs(2);
-/// How often a table is shown, and how often a line or an object is printed.
+/// Periods of the table, and of a line or an object.
 const LIVE_PERIOD: Duration = Duration::from_millis(250);
 const PRINT_PERIOD: Duration = Duration::from_secs(1);
 
 /// Shows the dashboard until Ctrl-C, or until the pipeline ends.
 pub(crate) fn run(arguments: &TopArguments) -> anyhow::Result<()> {
     let stopping = signals::stop_flag()?;
-    let Attached { mut ports, instance, resolved } = attach(&arguments.running)?;
+    let (instance, resolved, mut ports) = attach(&arguments.running)?;
     let mut healths = ports.subscriber::<Healths>()?;
     let mut tracks = ports.subscriber::<Tracks>()?;
     let mut truths = ports.subscriber::<Truths>()?;

@@ -8,7 +8,7 @@ use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, ensure};
-use flockeye_cli::running::{Attached, PipelineChoice, attach};
+use flockeye_cli::running::{PipelineChoice, attach};
 use flockeye_cli::{Screen, signals};
 use flockeye_config::Flow;
 use flockeye_contract::{Detections, FrameEnds, Healths, Tracks};
@@ -17,8 +17,8 @@ use crate::trace_events::Tracer;
 
 pub(crate) fn run(running: &PipelineChoice, out: &Path, duration: Duration) -> anyhow::Result<()> {
     let stopping = signals::stop_flag()?;
-    let Attached { mut ports, instance, resolved } = attach(running)?;
-    // First, so that an unwritable file is reported before the recording.
+    let (instance, resolved, mut ports) = attach(running)?;
+    // The file is created first, so that an unwritable one is reported before the recording.
     let cannot_write = || format!("cannot write {}", out.display());
     let file = File::create(out).with_context(cannot_write)?;
     let mut healths = ports.subscriber::<Healths>()?;

@@ -32,7 +32,7 @@ pub(crate) struct Tracer {
     is_live: bool,
     /// Names of the processes, by their numbers in the trace.
     processes: BTreeMap<u32, String>,
-    /// For each frame: when rectification finished the previous view.
+    /// End of rectification's previous view, for each frame.
     cutting_since_ns: BTreeMap<(u32, u32, u64), i64>,
 }
 
@@ -54,7 +54,7 @@ impl Tracer {
         self.frames.len()
     }
 
-    /// Takes a stage's report.
+    /// Takes a health report of a stage.
     pub(crate) fn health(&mut self, health: &Health) {
         let stage = health.stage.to_string();
         let pid = self.process(&stage, health.replica);
@@ -104,7 +104,7 @@ impl Tracer {
         self.frame(stamp);
         for track in tracks {
             let latency = &track.latency;
-            // In a lossless run the total counts from the frame's publication.
+            // In a lossless run the total latency counts from the frame's publication.
             let from_ns = if self.is_live { stamp.exposure_ns } else { stamp.published_ns };
             let out_ns = from_ns + latency.total_ns;
             if latency.fusion_ns < 0 || latency.total_ns < 0 {
@@ -178,11 +178,11 @@ impl Tracer {
 
     /// The number of a process, in the order of the dataflow.
     fn process(&mut self, stage: &str, replica: u32) -> u32 {
-        // Only one of the sources runs; both are first.
+        // Only one of the sources runs; both have the first number.
         let mut others = StageName::ALL.into_iter().filter(|other| !other.is_source());
         let rank = match StageName::from_name(stage) {
             Some(name) if name.is_source() => 1,
-            // One that is not Flockeye's comes last.
+            // A foreign stage comes last.
             Some(name) => {
                 others.position(|other| other == name).map_or(0, |place| place as u32) + 2
             }

@@ -19,7 +19,7 @@ pub(crate) fn run(configuration: &Configuration, options: &RunOptions) -> anyhow
     run_pipeline(&pipeline, options, &mut Screen::new(), &stopping).map(drop)
 }
 
-/// The configuration of stages that fly on. It stays as it is, whatever `wanted` is.
+/// The configuration of stages that fly on. It stays unchanged, whatever `wanted` contains.
 fn what_flies(
     instance: &Instance,
     wanted: &Pipeline,
@@ -58,7 +58,7 @@ pub(crate) fn run_pipeline(
         !(options.keep && pipeline.flow() == Flow::Lossless),
         "--keep: a lossless run waits for its launcher. Cure: profile: flight"
     );
-    // The stages read both. They are checked here too, so that an error is reported once and first.
+    // The stages read both. Checking them here reports an error once and first.
     resolved.mask()?;
     Dictionary::of(&resolved.bodies)?;
     let instance = Instance::named(&pipeline.instance.0);

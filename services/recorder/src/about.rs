@@ -1,4 +1,4 @@
-//! The facts about a pipeline that stand in its recording.
+//! Metadata of a recording: the facts about its pipeline.
 
 use anyhow::Context as _;
 use flockeye_config::{Coding, Flow, RESOLVED, Resolved};
@@ -9,14 +9,14 @@ use flockeye_runtime::instance::Instance;
 
 use crate::core::Core;
 
-/// The facts about a pipeline that begin its recording, and the core that makes the recording.
+/// The metadata at the begin of a recording, and the core of the recorder.
 pub(crate) fn beginning(instance: &Instance, resolved: &Resolved) -> anyhow::Result<(About, Core)> {
     let pipeline = &resolved.pipeline;
     let path = instance.folder().join("pipeline.json");
     let json = std::fs::read(&path).with_context(|| path.display().to_string())?;
     let mut parsed: serde_json::Value =
         serde_json::from_slice(&json).with_context(|| path.display().to_string())?;
-    // What `auto` is depends on files that may not be there when the recording is replayed.
+    // Resolve `auto` now: it depends on files that may be missing at a replay.
     let coding = if pipeline.is_coded_as_video() { Coding::Video } else { Coding::Images };
     parsed["fusion"]["coding"] = serde_json::to_value(coding)?;
     let bodies = serde_json::to_vec(&parsed[RESOLVED]["bodies"])?;
@@ -24,7 +24,7 @@ pub(crate) fn beginning(instance: &Instance, resolved: &Resolved) -> anyhow::Res
     let flow = pipeline.flow();
     let utc_from_exposure_ns = match flow {
         Flow::Latest => utc_from_monotonic_ns,
-        // Exposure times are the stream's: it begins now.
+        // Exposure times are stream times; the stream begins now.
         Flow::Lossless => clock::utc_ns(),
     };
     let facts = [

@@ -52,10 +52,10 @@ pub enum Trigger {
     Request,
 }
 
-/// Which pictures are recorded.
+/// Choice of the recorded pictures.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum FramesChoice {
-    /// None: headers alone.
+    /// No pictures: headers alone.
     None,
     /// The pixels of all views.
     Views,

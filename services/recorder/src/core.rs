@@ -1,4 +1,4 @@
-//! What of a message is recorded, and on which channels. No port, no clock, no file.
+//! Conversion of messages to recorded messages and channels. No port, no clock, no file.
 
 use std::sync::Arc;
 
@@ -48,7 +48,7 @@ impl Core {
         }
     }
 
-    /// What is recorded of a message: itself first, then what follows from it.
+    /// Recorded messages for a message: the message itself, then messages derived from it.
     pub(crate) fn on(&self, entry: &TopicMessage) -> anyhow::Result<Vec<Output>> {
         let Some((layout, channel)) = self.topics.get(entry.topic) else { return Ok(Vec::new()) };
         let bytes = encode(layout, &entry.message)?;
@@ -63,7 +63,7 @@ impl Core {
         Ok(outputs)
     }
 
-    /// What a recording lacks of a topic, as a message.
+    /// Message about the losses of a topic.
     pub(crate) fn loss(&self, topic: usize, loss: &Loss) -> Output {
         let name = TOPICS.get(topic).map_or("", |topic| topic.name);
         let bytes = encode_loss(name, loss);
@@ -117,8 +117,7 @@ impl Core {
     }
 }
 
-/// The header, copied. A message's header has the size of its type, because [`encode`] has checked
-/// it.
+/// Copy of the header. It has the size of its type, because [`encode`] has checked it.
 fn header_of<H: bytemuck::AnyBitPattern>(entry: &TopicMessage) -> H {
     bytemuck::pod_read_unaligned(&entry.message.header)
 }

@@ -1,4 +1,4 @@
-//! The files of a recorder: begun, split, ended.
+//! Files of a recorder: begin, split and end.
 
 use std::path::{Path, PathBuf};
 
@@ -8,22 +8,22 @@ use flockeye_recording::{About, RecordingError, RecordingWriter};
 
 use crate::core::Output;
 
-/// Where messages go.
+/// The current file, and counters of all files.
 pub(crate) struct Files {
     first: PathBuf,
     about: About,
     split_bytes: Option<u64>,
     writer: Option<RecordingWriter>,
-    /// Files that were begun.
+    /// Number of begun files.
     pub(crate) count: u32,
-    /// Messages that were written.
+    /// Number of written messages.
     pub(crate) messages: u64,
-    /// Bytes of the files that were ended.
+    /// Total size of the ended files, bytes.
     pub(crate) bytes: u64,
 }
 
 impl Files {
-    /// Files beginning with `first`, split at `split_bytes` bytes each. None is created yet.
+    /// Files from `first` on, split at `split_bytes` bytes. No file is created yet.
     pub(crate) fn new(first: &Path, about: About, split_bytes: Option<u64>) -> Self {
         let (writer, count, messages, bytes) = (None, 0, 0, 0);
         Self { first: first.to_owned(), about, split_bytes, writer, count, messages, bytes }
@@ -38,19 +38,20 @@ impl Files {
         self.begin_at(&path)
     }
 
-    /// UTC at a time of CLOCK_MONOTONIC, as it is in all the files.
+    /// UTC for a time of CLOCK_MONOTONIC, with the offset of these files.
     pub(crate) fn utc_ns(&self, at_ns: i64) -> i64 {
         at_ns.saturating_add(self.about.utc_from_monotonic_ns)
     }
 
-    /// Begins a file of its own for what came before something: `flight-20260102T030405Z.mcap`.
+    /// Begins a file for a ring's messages, with a date in its name:
+    /// `flight-20260102T030405Z.mcap`.
     pub(crate) fn begin_dated(&mut self, utc_ns: i64) -> Result<PathBuf, RecordingError> {
         let since = std::time::Duration::from_nanos(u64::try_from(utc_ns).unwrap_or(0));
         let names = dated::names("", std::time::UNIX_EPOCH + since);
         for name in names {
             let path = beside(&self.first, &name);
             match self.begin_at(&path) {
-                // Twice in a second.
+                // Name in use: second file in one second.
                 Err(RecordingError::Exists { .. }) => {}
                 other => return other.map(|()| path),
             }
@@ -62,8 +63,7 @@ impl Files {
         self.about.metadata.insert("file".to_owned(), self.count.to_string());
         let file = RecordingFile::create(path)?;
         let begun = RecordingWriter::begin(file, &self.about).inspect_err(|_| {
-            // A file without a beginning is of no use, and where the disk is full it may not be
-            // removed either.
+            // An incomplete file is useless. The removal may also fail if the disk is full.
             std::fs::remove_file(path).ok();
         });
         self.writer = Some(begun?);
@@ -71,8 +71,8 @@ impl Files {
         Ok(())
     }
 
-    /// Begins the next file where one is as large as it may be. What belongs together is written
-    /// between two calls.
+    /// Begins the next file if the current one has reached its size limit. Messages written between
+    /// two calls stay in one file.
     pub(crate) fn split_if_full(&mut self) -> Result<(), RecordingError> {
         let is_full = self
             .writer
@@ -85,7 +85,7 @@ impl Files {
         Ok(())
     }
 
-    /// Writes a message that came at `at_ns`, CLOCK_MONOTONIC.
+    /// Writes a message received at `at_ns`, CLOCK_MONOTONIC.
     pub(crate) fn write(
         &mut self,
         at_ns: i64,
@@ -98,12 +98,12 @@ impl Files {
         Ok(())
     }
 
-    /// Has the disk take what was written.
+    /// Flushes written data to the disk.
     pub(crate) fn flush(&mut self) -> Result<(), RecordingError> {
         self.writer.as_mut().map_or(Ok(()), RecordingWriter::flush)
     }
 
-    /// Ends the file that is being written.
+    /// Ends the current file.
     pub(crate) fn end(&mut self) -> Result<(), RecordingError> {
         if let Some(writer) = self.writer.take() {
             self.bytes += writer.finish()?;
@@ -112,7 +112,7 @@ impl Files {
     }
 }
 
-/// A path with something at the end of its name, before the extension.
+/// The path with `added` between name and extension.
 fn beside(path: &Path, added: &str) -> PathBuf {
     let stem = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
     let extension = path.extension().unwrap_or_default().to_string_lossy().into_owned();

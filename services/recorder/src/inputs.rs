@@ -1,4 +1,4 @@
-//! Receives every topic of the contract, and notices what was lost.
+//! Receives all topics of the contract, and detects losses.
 
 use flockeye_contract::{
     FrameHeader, JournalHeader, PacketHeader, PlanHeader, TOPICS, Topic, TopicId, TopicVisitor,
@@ -13,7 +13,7 @@ use crate::arguments::FramesChoice;
 use crate::message::TopicMessage;
 use crate::queue::WriteQueue;
 
-/// The source has no packets: trying again will not help.
+/// Error for a source without packets; a retry is useless.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct NotCoded;
 
@@ -28,11 +28,11 @@ impl std::fmt::Display for NotCoded {
 
 impl std::error::Error for NotCoded {}
 
-/// Hands over all messages of a lane that have come. False where some wait until there is room.
+/// Passes all received messages of a lane to the queue. Returns false if messages wait for room.
 pub(crate) type DrainLane = Box<dyn FnMut(&WriteQueue) -> anyhow::Result<bool>>;
 
-/// Subscribes to all lanes of all topics. One that has no room for another reader is left out,
-/// unless its pictures are wanted.
+/// Subscribes to all lanes of all topics. A topic with no room for another subscriber is skipped,
+/// unless its pictures are recorded.
 pub(crate) fn open_lanes(
     ports: &mut Ports,
     budget: &Budget,
@@ -43,7 +43,7 @@ pub(crate) fn open_lanes(
     Ok(opener.lanes)
 }
 
-/// Hands over all messages that have come. False where some wait until there is room.
+/// Passes all received messages to the queue. Returns false if messages wait for room.
 pub(crate) fn drain(lanes: &mut [DrainLane], queue: &WriteQueue) -> anyhow::Result<bool> {
     lanes.iter_mut().try_fold(true, |is_drained, drain| Ok(drain(queue)? & is_drained))
 }
@@ -62,14 +62,14 @@ impl TopicVisitor for LaneOpener<'_> {
         let pixels_of_each = match (T::INFO.id, self.frames) {
             (TopicId::Views, FramesChoice::Views) => Some(1),
             (TopicId::Packets, FramesChoice::Camera) => Some(1),
-            // Packets are sent because somebody reads them.
+            // Not subscribed: a subscriber would make the source send packets.
             (TopicId::Packets, _) => return Ok(()),
             (TopicId::Frames, FramesChoice::Every(count)) => Some(count),
             _ => None,
         };
         let subscribers = match self.ports.late_subscribers_of_all_lanes::<T>() {
             Ok(subscribers) => subscribers,
-            // Other tools have all places; anything else is no reason to record without it.
+            // Other tools use all subscriber slots: skip the topic. Other errors end the recording.
             Err(error) if error.is_crowded() && pixels_of_each.is_none() => {
                 tracing::warn!(
                     topic = T::NAME,
@@ -79,7 +79,7 @@ impl TopicVisitor for LaneOpener<'_> {
             }
             Err(error) => return Err(error.into()),
         };
-        // The table of topics has a row for each.
+        // The table has all topics, so the default is never used.
         let topic = TOPICS.iter().position(|topic| topic.id == T::INFO.id).unwrap_or(0);
         let limits = self.budget.topic::<T>();
         let (buffer, is_awaited) = (limits.buffer, limits.patience.is_some());
@@ -103,27 +103,27 @@ impl TopicVisitor for LaneOpener<'_> {
 struct Lane<T: Topic> {
     subscriber: Subscriber<T>,
     topic: usize,
-    /// Messages of one sender that wait here at most.
+    /// Buffer size: maximum number of waiting messages per sender.
     buffer: usize,
-    /// Whether senders wait where its buffer is full, so that none of their messages is lost.
+    /// Whether senders wait if the buffer is full, so that no message is lost.
     is_awaited: bool,
-    /// The pixels of each Nth message are recorded; `None`: no pixels.
+    /// Record the pixels of each Nth message; `None`: no pixels.
     pixels_of_each: Option<u64>,
     numbering: Option<Numbering>,
-    /// Packets begin with a key frame.
+    /// Whether recording has begun: for packets, at a key frame.
     has_begun: bool,
 }
 
-/// The number of a message among those that rise by one.
+/// Sequence number of a message, in a series with step 1.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct Numbering {
-    /// Numbers begin anew where this changes.
+    /// Series: the numbers restart when it changes.
     of: (u32, u32),
     number: u64,
 }
 
 impl Numbering {
-    /// The numbers of a frame, packet, plan or journal.
+    /// Series and number of a frame, packet, plan or journal.
     fn of<T: Topic>(header: &T::Header) -> Option<Self> {
         let bytes = bytemuck::bytes_of(header);
         match T::INFO.id {
@@ -149,7 +149,7 @@ impl Numbering {
         }
     }
 
-    /// Numbers between the one before and this.
+    /// Number of missing messages between `before` and this one.
     fn missing_since(&self, before: &Self) -> u64 {
         match self.of == before.of {
             true => self.number.saturating_sub(before.number).saturating_sub(1),
@@ -160,11 +160,11 @@ impl Numbering {
 
 impl<T: Topic> Lane<T> {
     fn drain(&mut self, queue: &WriteQueue) -> anyhow::Result<bool> {
-        // How many of each sender have come at once: as many as its buffer has room for may be
-        // those that are left.
+        // Messages per sender in this call. A number equal to the buffer size may mean that others
+        // were lost.
         let mut counts: Vec<(Sender, usize)> = Vec::new();
         loop {
-            // A stage that waits for the reader waits for the disk.
+            // Senders that wait for this subscriber then wait for the disk.
             if self.is_awaited && !queue.has_room() {
                 return Ok(false);
             }

@@ -1,16 +1,16 @@
-//! Frames as pictures.
+//! JPEG encoding of frames.
 
 use anyhow::ensure;
 use opencv::core::{Mat, MatTraitConst, Rect, Vector};
 use opencv::imgcodecs::{IMWRITE_JPEG_QUALITY, imencode};
 
-/// 0 to 100; details as fine as marker cells stay.
+/// JPEG quality, 0 to 100; details of the size of marker cells are preserved.
 const QUALITY: i32 = 90;
 
-/// A picture of 8-bit luma, rows of `stride` bytes, as JPEG.
+/// Encodes 8-bit luma, rows of `stride` bytes, as JPEG.
 ///
 /// # Errors
-/// There are fewer pixels than that, or OpenCV's reason.
+/// Too few pixels, or an error of OpenCV.
 pub(crate) fn encode(
     pixels: &[u8],
     width: u32,

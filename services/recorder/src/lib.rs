@@ -1,24 +1,23 @@
-//! The recorder: writes all messages of a running pipeline to MCAP files. It looks on, so it can
-//! die without harm to any stage.
+//! The recorder: writes all messages of a running pipeline to MCAP files. It only subscribes, so
+//! its failure affects no stage.
 //!
-//! Two threads share the work. One receives, so that no message is lost while the disk is slow. The
-//! other makes the recording of what was received, and writes it. Between them is a queue of
-//! bounded size.
+//! It has two threads. One receives, so that no message is lost while the disk is slow. The other
+//! encodes and writes. A bounded queue connects them.
 //!
 //! | module | what it does |
 //! | --- | --- |
 //! | [`arguments`] | the command line |
-//! | `message` | a message as it was received, and what it means for the recording: pure |
-//! | [`inputs`] | receives every topic of the contract, and notices what was lost |
-//! | `queue` | from the thread that receives to the one that writes |
-//! | `core` | what of a message is recorded: pure |
-//! | `about` | the facts about a pipeline that stand in its recording |
-//! | `ring` | the newest messages, for recordings of what led to something |
-//! | `files` | the files: begun, split, ended |
-//! | `jpeg` | frames as pictures |
-//! | `loss_reports` | what is missing, in the log and in the recording |
-//! | `stage` | the thread that receives |
-//! | `writer` | the thread that writes |
+//! | `message` | a received message |
+//! | [`inputs`] | receives all topics of the contract, and detects losses |
+//! | `queue` | the queue between the two threads |
+//! | `core` | conversion of messages to recorded messages: no I/O |
+//! | `about` | metadata of a recording |
+//! | `ring` | the newest messages, for recordings of the time before an event |
+//! | `files` | the files: begin, split and end |
+//! | `jpeg` | JPEG encoding of frames |
+//! | `loss_reports` | losses, in the log and in the recording |
+//! | `stage` | the receiving thread |
+//! | `writer` | the writing thread |
 
 #![warn(unreachable_pub)]
 
@@ -43,7 +42,7 @@ use flockeye_runtime::recorders;
 
 use crate::arguments::RecordArguments;
 
-/// Does what the command line asks for.
+/// Runs the command line.
 ///
 /// # Errors
 /// No such pipeline runs, a file cannot be written, or the disk is full.

@@ -1,20 +1,21 @@
-//! Reports of messages that are missing from a recording.
+//! Reports of losses in a recording.
 
 use flockeye_contract::TOPICS;
 use flockeye_recording::losses::Loss;
 use flockeye_runtime::logs::Throttle;
 
-/// Notices new losses, and warns of them.
+/// Detects new losses, and logs warnings.
 #[derive(Default)]
 pub(crate) struct LossReports {
-    /// The losses that were reported last. Each file counts all of them anew.
+    /// The losses in the last report. Cleared for each file of a ring, which states all losses
+    /// again.
     pub(crate) reported: Vec<Loss>,
     warnings: Throttle,
 }
 
 impl LossReports {
-    /// The topics, by their index, of which something was lost since the last call, with all that
-    /// is lost of each. The log has a warning of them.
+    /// Topics with new losses since the last call: index and total loss of each. Logs warnings of
+    /// them.
     pub(crate) fn news(&mut self, losses: Vec<Loss>) -> Vec<(usize, Loss)> {
         let mut news = Vec::new();
         for (topic, loss) in losses.iter().enumerate() {
@@ -42,7 +43,7 @@ impl LossReports {
                  faster disk"
             );
         } else if !is_certain && before.buffer_full == 0 {
-            // It comes again with every burst, and the file counts it.
+            // Logged once: it repeats with each burst, and the file has the count.
             tracing::warn!(
                 topic,
                 "messages may be missing: as many came at once as find room. Cure: end what else keeps the \

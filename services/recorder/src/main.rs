@@ -10,7 +10,7 @@ fn main() -> ExitCode {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             eprintln!("flockeye record: {error:#}");
-            // As a stage's: trying again will not help.
+            // Exit code as for a stage: a retry is useless.
             match error.is::<NotCoded>() {
                 true => ExitCode::from(2),
                 false => ExitCode::FAILURE,

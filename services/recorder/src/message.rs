@@ -1,34 +1,34 @@
-//! A message as it was received, and what it means for the recording.
+//! A received message.
 
 use flockeye_contract::{PacketHeader, TOPICS, TopicId, Track, TrackState};
 use flockeye_recording::ContractMessage;
 
-/// What the thread that receives hands to the one that writes.
+/// A message from the receiving thread to the writing thread.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct TopicMessage {
-    /// The topic's place among all topics, in the order of the dataflow.
+    /// Index of the topic in the table of topics.
     pub(crate) topic: usize,
-    /// When it was received, CLOCK_MONOTONIC, nanoseconds.
+    /// Time of reception, CLOCK_MONOTONIC, nanoseconds.
     pub(crate) at_ns: i64,
     pub(crate) message: ContractMessage,
-    /// Its pixels, where they are recorded.
+    /// Pixels, if they are recorded.
     pub(crate) pixels: Option<Vec<u8>>,
 }
 
 impl TopicMessage {
-    /// Bytes in memory, about.
+    /// Approximate size in memory, bytes.
     pub(crate) fn bytes(&self) -> usize {
         let pixels = self.pixels.as_ref().map_or(0, Vec::len);
         self.message.header.len() + self.message.items.len() + pixels + 128
     }
 
-    /// Whether decoding can begin with it, a packet.
+    /// For a packet: whether it is a key frame, with which decoding can begin.
     pub(crate) fn begins_video(&self) -> bool {
         let header: PacketHeader = bytemuck::pod_read_unaligned(&self.message.header);
         header.is_key == 1
     }
 
-    /// Whether it has the track of a neighbour that is lost.
+    /// Whether it contains the lost track of a neighbour.
     pub(crate) fn loses_somebody(&self) -> bool {
         let mut tracks = self.message.items.chunks_exact(size_of::<Track>());
         TOPICS[self.topic].id == TopicId::Tracks

@@ -1,4 +1,4 @@
-//! From the thread that receives to the one that writes: a queue of bounded size.
+//! The bounded queue from the receiving thread to the writing thread.
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
@@ -9,11 +9,10 @@ use flockeye_runtime::lock::lock;
 
 use crate::message::TopicMessage;
 
-/// Time for which messages wait for others: a receiver that each of them wakes takes more of a
-/// processor.
+/// Maximum wait of the consumer between wake-ups: a wake-up per message needs more processor time.
 const GATHER: Duration = Duration::from_millis(50);
 
-/// The sender's and the receiver's end.
+/// Both ends of the queue.
 #[derive(Debug, Clone)]
 pub(crate) struct WriteQueue {
     shared: Arc<(Mutex<State>, Condvar)>,
@@ -26,17 +25,17 @@ struct State {
     bytes: usize,
     losses: Vec<Loss>,
     is_closed: bool,
-    /// Somebody asks that a ring is written.
+    /// Whether a request to write the ring is pending.
     is_asked: bool,
 }
 
-/// What the receiver's end gives.
+/// Result of [`WriteQueue::take`].
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) enum Taken {
     Message(TopicMessage),
-    /// No message has come in time.
+    /// Timeout, or a pending request.
     Nothing,
-    /// No further message will come.
+    /// The queue is closed and empty.
     End,
 }
 
@@ -46,7 +45,7 @@ impl WriteQueue {
         Self { shared: Arc::new((Mutex::new(state), Condvar::new())), most_bytes }
     }
 
-    /// Adds a message, unless there is no room: then it is counted as lost.
+    /// Adds a message. If the queue is full, the message is dropped and counted as lost.
     pub(crate) fn push(&self, entry: TopicMessage) {
         let (topic, bytes) = (entry.topic, entry.bytes());
         let is_urgent = self.with(|state| {
@@ -66,13 +65,13 @@ impl WriteQueue {
         }
     }
 
-    /// Whether whoever is waited for may go on receiving: half of the room is left to messages of
-    /// which nobody waits.
+    /// Whether topics with waiting senders may be received. Half of the room is reserved for other
+    /// topics.
     pub(crate) fn has_room(&self) -> bool {
         self.with(|state| state.bytes <= self.most_bytes / 2)
     }
 
-    /// Notes what else was lost of a topic.
+    /// Changes the losses of a topic.
     pub(crate) fn note(&self, topic: usize, note: impl FnOnce(&mut Loss)) {
         self.with(|state| {
             if let Some(loss) = state.losses.get_mut(topic) {
@@ -81,7 +80,7 @@ impl WriteQueue {
         });
     }
 
-    /// What was recorded and lost of each topic until now.
+    /// Recorded and lost messages of each topic until now.
     pub(crate) fn losses(&self) -> Vec<Loss> {
         self.with(|state| state.losses.clone())
     }
@@ -91,12 +90,12 @@ impl WriteQueue {
         self.shared.1.notify_one();
     }
 
-    /// Whether somebody has asked since the last time.
+    /// Whether a request has come since the last call.
     pub(crate) fn take_request(&self) -> bool {
         self.with(|state| std::mem::take(&mut state.is_asked))
     }
 
-    /// No more will come, or nobody takes any more.
+    /// Closes the queue, from either end.
     pub(crate) fn close(&self) {
         self.with(|state| state.is_closed = true);
         self.shared.1.notify_one();
@@ -106,8 +105,8 @@ impl WriteQueue {
         self.with(|state| state.is_closed)
     }
 
-    /// The next message; waits for it until then, or until somebody asks for something. Where it
-    /// waits, several may have come when it returns.
+    /// Takes the next message. Waits until the time `until` or a request, so several messages may
+    /// be queued on return.
     pub(crate) fn take(&self, until: Instant) -> Taken {
         let (mutex, condition) = &*self.shared;
         let mut state = lock(mutex);

@@ -1,14 +1,14 @@
-//! The newest messages, for recordings of what led to something.
+//! Ring buffer of the newest messages, for recordings of the time before an event.
 
 use std::collections::VecDeque;
 use std::time::Duration;
 
 use crate::message::TopicMessage;
 
-/// Limit for the bytes that are kept, however short the time is.
+/// Limit for the size of the ring, bytes.
 pub(crate) const MOST_BYTES: usize = 256_000_000;
 
-/// Messages of the last while.
+/// The messages of a limited past.
 #[derive(Debug)]
 pub(crate) struct Ring {
     entries: VecDeque<TopicMessage>,
@@ -18,13 +18,13 @@ pub(crate) struct Ring {
 }
 
 impl Ring {
-    /// Keeps messages of the last `past`, of `most_bytes` bytes at most.
+    /// A ring for the messages of the last `past`, with at most `most_bytes` bytes.
     pub(crate) fn new(past: Duration, most_bytes: usize) -> Self {
         let past_ns = i64::try_from(past.as_nanos()).unwrap_or(i64::MAX);
         Self { entries: VecDeque::new(), bytes: 0, past_ns, most_bytes }
     }
 
-    /// Adds a message, and lets go of those that are too old or too many.
+    /// Adds a message, and removes messages beyond the limits of age and size.
     pub(crate) fn push(&mut self, entry: TopicMessage) {
         let now_ns = entry.at_ns;
         self.bytes += entry.bytes();
@@ -39,7 +39,7 @@ impl Ring {
         }
     }
 
-    /// Takes all of them: what was written once is not written again.
+    /// Takes all messages, so that each is written once.
     pub(crate) fn take(&mut self) -> VecDeque<TopicMessage> {
         self.bytes = 0;
         std::mem::take(&mut self.entries)

@@ -1,4 +1,4 @@
-//! The thread that receives: moves messages from the ports to the thread that writes.
+//! The receiving thread: moves messages from the ports to the queue.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -22,11 +22,10 @@ use crate::queue::WriteQueue;
 use crate::ring::{MOST_BYTES, Ring};
 use crate::writer::DiskWriter;
 
-/// Limit for the bytes that wait for the disk.
+/// Limit for the size of the queue, bytes.
 const QUEUE_BYTES: usize = 128_000_000;
-/// How often messages are received. A recorder that each of them wakes takes more of a processor,
-/// and so do the stages that wake it. Fewer views come in this time than their topic's buffer
-/// holds.
+/// Polling interval. A wake-up per message would need more processor time, here and in the stages.
+/// The topics' buffers have room for the views of this time.
 const POLL: Duration = Duration::from_millis(2);
 
 /// Records until the time is over, the pipeline ends or a signal comes.
@@ -34,7 +33,8 @@ pub(crate) fn record(arguments: &RecordArguments, out: &Path) -> anyhow::Result<
     let stopping = signals::stop_flag()?;
     let asked = Arc::new(AtomicBool::new(false));
     signal_hook::flag::register(SIGUSR1, asked.clone()).context("cannot catch signals")?;
-    // A file that may not grow further is an error of its write, and does not end the process.
+    // Ignore SIGXFSZ: a file size limit is then an error of the write, and does not end the
+    // process.
     signal_hook::flag::register(SIGXFSZ, Arc::default()).context("cannot catch signals")?;
     let instance = running::choose(&arguments.running)?;
     let (ports, resolved) = onlooker::join(&instance)?;
@@ -67,7 +67,7 @@ pub(crate) fn record(arguments: &RecordArguments, out: &Path) -> anyhow::Result<
             || !instance.is_running();
         Ok((!is_over).then_some(POLL))
     });
-    // Some messages came between the last look and the end.
+    // Receive the messages between the last poll and the end.
     let received = received.and_then(|()| {
         while !drain(&mut lanes, &queue)? && !queue.is_closed() {
             std::thread::sleep(POLL);
@@ -83,7 +83,7 @@ pub(crate) fn record(arguments: &RecordArguments, out: &Path) -> anyhow::Result<
     Ok(())
 }
 
-/// Refuses to record a camera's own video where it is known beforehand that there is none.
+/// Refuses to record a camera's own video if the configured source has none.
 fn refuse_camera_without_video(frames: FramesChoice, resolved: &Resolved) -> anyhow::Result<()> {
     let source = &resolved.pipeline.source;
     match frames == FramesChoice::Camera && !source.may_send_packets() {

@@ -1,4 +1,4 @@
-//! The thread that writes: makes the recording of what was received, and fills the files.
+//! The writing thread: encodes the messages and fills the files.
 
 use std::time::{Duration, Instant};
 
@@ -18,9 +18,9 @@ use crate::message::TopicMessage;
 use crate::queue::{Taken, WriteQueue};
 use crate::ring::Ring;
 
-/// Time after which what was received is on the disk, at the latest.
+/// Maximum time from reception to disk.
 const FLUSH: Duration = Duration::from_secs(1);
-/// Priority of the thread that writes: it gives way to the stages.
+/// Nice value of the writing thread: lower priority than the stages.
 const WRITER_NICE: i32 = 10;
 
 pub(crate) struct DiskWriter {
@@ -33,7 +33,7 @@ pub(crate) struct DiskWriter {
 }
 
 impl DiskWriter {
-    /// Writes what comes in `queue` to `files`; with a ring, only what led to something.
+    /// A writer from `queue` to `files`; with a ring, only after a trigger.
     pub(crate) fn new(
         queue: WriteQueue,
         core: Core,
@@ -44,17 +44,17 @@ impl DiskWriter {
         Self { queue, core, files, ring, losses, left_out }
     }
 
-    /// Writes until nothing comes any more. Returns a summary for people.
+    /// Writes until the queue is closed. Returns a summary for people.
     pub(crate) fn run(mut self) -> anyhow::Result<String> {
         if let Err(error) = setpriority_process(Some(gettid()), WRITER_NICE) {
             tracing::debug!("the thread that writes does not give way: {error}");
         }
         let outcome = self.write_all();
-        // Nobody takes any more, whatever the outcome, so the other thread ends too.
+        // Close the queue after any outcome, so that the other thread ends too.
         self.queue.close();
         match outcome {
             Ok(()) => {}
-            // There is room for the index.
+            // The disk has room for the index.
             Err(error) if matches!(error.downcast_ref(), Some(RecordingError::DiskFull { .. })) => {
                 self.files.end()?;
                 return Err(error);
@@ -93,7 +93,7 @@ impl DiskWriter {
         Ok(())
     }
 
-    /// Takes a message. Returns whether the ring is to be written because of it.
+    /// Takes a message. Returns whether it triggers the ring.
     fn on(&mut self, entry: TopicMessage) -> anyhow::Result<bool> {
         let Some((trigger, ring)) = &mut self.ring else {
             self.write(&entry)?;
@@ -112,7 +112,7 @@ impl DiskWriter {
                 return Ok(());
             }
         };
-        // A header and its pixels stand in one file.
+        // Splits are between messages, so a header and its pixels are in one file.
         self.files.split_if_full()?;
         for output in outputs {
             match self.files.write(entry.at_ns, &output) {
@@ -125,7 +125,7 @@ impl DiskWriter {
         Ok(())
     }
 
-    /// Counts a message that cannot be recorded. It does not end the recording.
+    /// Counts a message that cannot be recorded; the recording continues.
     fn leave_out(&mut self, topic: usize, error: &anyhow::Error) {
         self.queue.note(topic, |loss| {
             loss.recorded = loss.recorded.saturating_sub(1);
@@ -141,7 +141,7 @@ impl DiskWriter {
         let entries = ring.take();
         let Some(last) = entries.back() else { return Ok(()) };
         let path = self.files.begin_dated(self.files.utc_ns(last.at_ns))?;
-        // The oldest packets that are left may rest on one that is not.
+        // Skip packets before the first key frame: they refer to removed packets.
         let mut has_key = false;
         for entry in &entries {
             if TOPICS[entry.topic].id == TopicId::Packets {
@@ -152,7 +152,7 @@ impl DiskWriter {
             }
             self.write(entry)?;
         }
-        // Each file counts all losses.
+        // Each file states all losses.
         self.losses.reported.clear();
         self.write_losses()?;
         self.files.end()?;
@@ -160,7 +160,7 @@ impl DiskWriter {
         Ok(())
     }
 
-    /// Writes and reports what was lost since the last time.
+    /// Writes and logs the losses since the last call.
     fn write_losses(&mut self) -> anyhow::Result<()> {
         for (topic, loss) in self.losses.news(self.queue.losses()) {
             self.files.write(clock::monotonic_ns(), &self.core.loss(topic, &loss))?;

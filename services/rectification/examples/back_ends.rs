@@ -1,12 +1,12 @@
-//! Measures this machine's graphics processor beside its processor, and prints the table of
+//! Measures the GPU back end and the CPU back end on this machine, and prints the table of
 //! docs/results/gpu.md:
 //!
 //! ```text
 //! cargo run --release -p flockeye-rectification --example back_ends
 //! ```
 //!
-//! Frames of 3840 x 1920 px give 12 and 24 views, as the stage orders them. The greys of both are
-//! compared.
+//! Frames of 3840 x 1920 px have 12 and 24 views, ordered as in the stage. The pixels of both back
+//! ends are compared.
 #![allow(
     clippy::unwrap_used,
     reason = "the cuts are sound, and a lost device shall end the program"
@@ -26,7 +26,7 @@ use rustix::time::{ClockId, clock_gettime};
 
 use self::scene::{Scene, buffer, equirectangular, partition, region};
 
-/// Frames that are measured, after as many as fill the slots and warm up the clock.
+/// Number of measured frames, after warm-up frames that fill the slots.
 const FRAMES: u64 = 60;
 const WARM_UP: u64 = 10;
 
@@ -70,7 +70,7 @@ fn short(name: &str) -> String {
     name.split(" (").next().unwrap_or(name).replace('\'', "")
 }
 
-/// What a row of the table says: medians of frames alone, and means of frames one after the other.
+/// A row of the table: medians of single frames, and means of consecutive frames.
 fn measure(rectifier: &mut dyn Rectifier, scene: &Scene, cuts: &[Cut]) -> String {
     let mut outs: Vec<Vec<u8>> = cuts.iter().map(|cut| buffer(&cut.view)).collect();
     let order = |rectifier: &mut dyn Rectifier, frame: u64| {
@@ -90,7 +90,7 @@ fn measure(rectifier: &mut dyn Rectifier, scene: &Scene, cuts: &[Cut]) -> String
         cut_all(rectifier, frame);
         alone.push(begun.elapsed().as_secs_f64() * 1e3);
     }
-    // As the stage works: the next frame is on its way while this one's views are waited for.
+    // As in the stage: the next frame is uploaded during the wait for this frame's views.
     let first = 1000;
     rectifier.prepare(scene.key(first), &scene.sphere()).unwrap();
     let (begun, used) = (Instant::now(), processor_ms());
@@ -110,13 +110,13 @@ fn measure(rectifier: &mut dyn Rectifier, scene: &Scene, cuts: &[Cut]) -> String
     format!("{alone:.2} | {uploads:.2} | {rate:.0} | {used:.1}")
 }
 
-/// Time that this process has had on processors, milliseconds.
+/// Processor time of this process, milliseconds.
 fn processor_ms() -> f64 {
     let time = clock_gettime(ClockId::ProcessCPUTime);
     time.tv_sec as f64 * 1e3 + time.tv_nsec as f64 / 1e6
 }
 
-/// How far the greys of both back ends lie apart.
+/// Maximum difference between the pixels of both back ends.
 fn differences(gpu: &mut dyn Rectifier, scene: &Scene, cuts: &[Cut]) -> String {
     let mut cpu = CpuRectifier::new(1);
     let mut by_difference = [0u64; 256];

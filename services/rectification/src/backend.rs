@@ -1,4 +1,4 @@
-//! The choice between the back ends.
+//! Choice of the back end.
 
 use flockeye_config::Backend;
 use flockeye_geometry::camera::Camera;
@@ -8,7 +8,7 @@ use crate::cpu::CpuRectifier;
 use crate::gpu::{FoundAdapter, GpuRectifier};
 use crate::rectifier::{Rectifier, RectifyError};
 
-/// Findings about this machine's graphics processors, before a flight.
+/// Findings about this machine's graphics processors, for `flockeye doctor`.
 pub(crate) fn examine(choice: Backend) -> Vec<Finding> {
     const TOPIC: &str = "graphics";
     const CURE: &str = "install the driver (mesa-vulkan-drivers for Intel and AMD), and let the user be in the \
@@ -43,11 +43,11 @@ pub(crate) fn examine(choice: Backend) -> Vec<Finding> {
     }]
 }
 
-/// The back end for `choice` and frames of `camera`, and in words why it is that one. The processor
-/// works with up to `threads` threads.
+/// The back end for `choice` and frames of `camera`, and the reason as text. The CPU back end uses
+/// up to `threads` threads.
 ///
 /// # Errors
-/// `Gpu` was asked for and there is none that works, or it has no room for a frame.
+/// `Gpu` was configured, but no device works, or its memory is too small for a frame.
 pub(crate) fn choose_backend(
     choice: Backend,
     threads: usize,

@@ -1,30 +1,29 @@
-//! When the next frame is due, and what still fits before it.
+//! Prediction of the next frame's arrival, and of the work that fits before it.
 //!
-//! Tiles are searched in the time that is left of a frame. A late source, which decodes or draws on
-//! the same processors, would be later still if the search went on until its frame came. And the
-//! regions of interest of that frame would wait for the tile that is being cut.
+//! Tiles are searched in the remaining time of a frame. The source decodes or draws on the same
+//! processors, so a search up to the next frame would delay it. Also, that frame's regions of
+//! interest would wait for the last tile.
 
 use std::collections::VecDeque;
 
 use flockeye_contract::FrameStamp;
 
-/// Frames that the interval is estimated from: about a second.
+/// Number of frames for the estimate of the interval: about a second.
 const FRAMES: usize = 32;
 
-/// The weight of the last cut in the mean time of a cut, and of the last look in that of a look.
+/// Weight of the last value in the moving average of the times of cuts and of proposal searches.
 const CUT_SHARE: f64 = 0.1;
 
-/// The longest search decays by this factor with each tile, so that one slow search counts for
-/// about ten.
+/// Decay of the maximum search time per tile: a slow search has an effect on about ten tiles.
 const FORGETTING: f64 = 0.9;
 
-/// Bursts that must have been seen before they are expected.
+/// Number of bursts after which further bursts are predicted.
 const MIN_BURSTS: usize = 4;
 
-/// Limit for the time of a search that a worker reports, nanoseconds.
+/// Limit for a search time reported by a worker, nanoseconds.
 const LONGEST_SEARCH_NS: i64 = 1_000_000_000;
 
-/// The last frames of a source, and how long tiles took.
+/// The last frames of a source, and the times of cuts and searches.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Cadence {
     frames: VecDeque<(FrameStamp, i64)>,
@@ -34,7 +33,7 @@ pub(crate) struct Cadence {
 }
 
 impl Cadence {
-    /// A frame came at `received_ns`, CLOCK_MONOTONIC.
+    /// Notes a frame that arrived at `received_ns`, CLOCK_MONOTONIC.
     pub(crate) fn note(&mut self, stamp: &FrameStamp, received_ns: i64) {
         let goes_on = |last: &FrameStamp| {
             let source = |stamp: &FrameStamp| (stamp.source_generation, stamp.epoch);
@@ -49,40 +48,38 @@ impl Cadence {
         self.frames.push_back((*stamp, received_ns));
     }
 
-    /// A tile was cut.
+    /// Notes the time of a tile's cut.
     pub(crate) fn note_cut(&mut self, took_ns: i64) {
         self.cut_ns += CUT_SHARE * (took_ns as f64 - self.cut_ns);
     }
 
-    /// The picture was looked at for places like a body.
+    /// Notes the time of a proposal search in the frame.
     pub(crate) fn note_look(&mut self, took_ns: i64) {
         self.look_ns += CUT_SHARE * (took_ns as f64 - self.look_ns);
     }
 
-    /// A tile was searched for `took_ns`, as its worker reports.
+    /// Notes the search time of a tile, as its worker reports it.
     pub(crate) fn note_search(&mut self, took_ns: i64) {
         let took_ns = took_ns.clamp(0, LONGEST_SEARCH_NS) as f64;
         self.search_ns = (FORGETTING * self.search_ns).max(took_ns);
     }
 
-    /// Whether a view can be cut before the next frame is due, after a look for places if it needs
-    /// one. It is taken for a tile, because smaller ones are cut sooner. True while that is not
-    /// known.
+    /// Whether a view can be cut before the next frame is due, with a proposal search before if
+    /// needed. The estimate is for a tile, the largest kind of view. True while no estimate exists.
     pub(crate) fn has_time_to_cut(&self, needs_look: bool, now_ns: i64) -> bool {
         let look_ns = if needs_look { self.look_ns } else { 0.0 };
         let cut_ns = now_ns.saturating_add((look_ns + self.cut_ns) as i64);
         self.due_ns().is_none_or(|due_ns| cut_ns < due_ns)
     }
 
-    /// Whether a tile and the one that is being searched will both have been searched before the
-    /// next frame is due.
+    /// Whether this tile and the one being searched will both be done before the next frame is due.
     pub(crate) fn has_time_to_cut_ahead(&self, now_ns: i64) -> bool {
         let searched_ns = now_ns.saturating_add(2 * self.search_ns as i64);
         self.search_ns > 0.0 && self.due_ns().is_some_and(|due_ns| searched_ns < due_ns)
     }
 
-    /// When the frame after the last one will be here if it is as quick as the quickest lately,
-    /// CLOCK_MONOTONIC, nanoseconds; `None` while that is not known.
+    /// Earliest arrival of the next frame, CLOCK_MONOTONIC, nanoseconds: with the minimum latency
+    /// of the last frames. `None` while no estimate exists.
     pub(crate) fn due_ns(&self) -> Option<i64> {
         let ((first, _), (last, _)) = (self.frames.front()?, self.frames.back()?);
         let frames = i64::try_from(last.sequence.checked_sub(first.sequence)?).ok()?;
@@ -95,9 +92,8 @@ impl Cadence {
         (interval_ns > 0).then_some(due_ns.max(next_burst_ns))
     }
 
-    /// When the next burst begins, if frames of this interval come in bursts: a pause follows each
-    /// burst, and ending the search with the frame's own interval would waste it. `None` for a
-    /// steady source.
+    /// Begin of the next burst, if frames of this interval arrive in bursts. The search then also
+    /// uses the pause after a burst. `None` for a steady source.
     fn next_burst_ns(&self, interval_ns: i64) -> Option<i64> {
         let mut begun: Vec<i64> = Vec::new();
         let mut last_ns = None;

@@ -1,19 +1,18 @@
-//! Views cut by the processor.
+//! CPU back end.
 
 use flockeye_contract::FrameOrder;
 use flockeye_imaging::sphere::{Cut, SphereImage, rectify_all};
 
 use crate::rectifier::{Rectifier, RectifyError};
 
-/// Cuts views with the kernel of [`flockeye_imaging::sphere`], straight from the frame, when they
-/// are asked for.
+/// Cuts views on request with the kernel of [`flockeye_imaging::sphere`], directly from the frame.
 #[derive(Debug, Clone, Copy)]
 pub struct CpuRectifier {
     threads: usize,
 }
 
 impl CpuRectifier {
-    /// With up to `threads` threads at once, one at least.
+    /// A back end with up to `threads` threads, at least one.
     pub fn new(threads: usize) -> Self {
         Self { threads: threads.max(1) }
     }

@@ -1,5 +1,4 @@
-//! Views cut from frames by a back end, or by the processor once that is lost, and places searched
-//! in them.
+//! Cuts of views by a back end, with the CPU as fallback, and proposal searches.
 
 use flockeye_contract::FrameHeader;
 use flockeye_convert::projection_of;
@@ -15,8 +14,8 @@ use crate::rectifier::{Rectifier, RectifyError};
 
 /// Cuts views of one camera's frames.
 ///
-/// When the back end is lost, be it in the middle of a frame, the processor does what it could not,
-/// and all that comes after; one warning reports it.
+/// When the back end is lost, also within a frame, the CPU takes over the failed and all later
+/// work. One warning reports this.
 pub struct Cutter {
     pub(crate) active: Box<dyn Rectifier>,
     threads: usize,
@@ -26,8 +25,8 @@ pub struct Cutter {
 }
 
 impl Cutter {
-    /// Cuts with `active`, or else with up to `threads` threads of the processor. The health
-    /// reports of `counters` name whoever works.
+    /// Cuts with `active`, and after its loss with up to `threads` CPU threads. The health detail
+    /// in `counters` names the back end in use.
     pub fn new(
         active: Box<dyn Rectifier>,
         threads: usize,
@@ -38,7 +37,7 @@ impl Cutter {
         Self { active, threads, counters, proposer: Proposer::default(), camera }
     }
 
-    /// Has the back end do some work, or the processor if the back end is lost.
+    /// Runs work on the back end, and again on the CPU if the back end is lost.
     pub(crate) fn attempt(
         &mut self,
         mut work: impl FnMut(&mut dyn Rectifier) -> Result<(), RectifyError>,
@@ -57,16 +56,16 @@ impl Cutter {
         }
     }
 
-    /// Lets a frame that waits be uploaded while another is being cut.
+    /// Starts the upload of the waiting frame while another is being cut.
     ///
     /// # Errors
-    /// A frame that is not the configured camera's, or that the back end has no room for.
+    /// A frame of another format than configured, or too large for the back end.
     pub fn prepare(&mut self, header: &FrameHeader, pixels: &[u8]) -> anyhow::Result<()> {
         let sphere = self.sphere_of(header, pixels)?;
         Ok(self.attempt(|active| active.prepare(header.stamp.order(), &sphere))?)
     }
 
-    /// Lets the back end make cuts of a frame ahead.
+    /// Announces cuts of a frame, so that the back end can make them ahead.
     pub fn announce(
         &mut self,
         header: &FrameHeader,
@@ -77,7 +76,7 @@ impl Cutter {
         Ok(self.attempt(|active| active.order(header.stamp.order(), &sphere, cuts))?)
     }
 
-    /// Searches a frame for places that look like a body.
+    /// Searches a frame for places that resemble a body (proposals).
     pub fn look(
         &mut self,
         header: &FrameHeader,
@@ -103,7 +102,7 @@ impl Cutter {
         Ok(self.attempt(|active| active.cut(frame, &sphere, &order.cut, out))?)
     }
 
-    /// The frame's pixels as the configured camera sees them.
+    /// The frame's pixels as an image of the configured camera.
     fn sphere_of<'m>(
         &self,
         header: &FrameHeader,

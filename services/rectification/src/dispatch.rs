@@ -1,15 +1,15 @@
-//! Which worker gets the next view, and which views were lost.
+//! Distribution of views to workers, and detection of lost views.
 //!
-//! A worker answers each view, in the order in which it got them. One that answers nothing for too
-//! long is stalled: its views go to others. It gets none until it answers, but for one view now and
-//! then, in case that another process took its place.
+//! A worker answers all views in their order. After a timeout it counts as stalled, and its views
+//! go to other workers. Until it answers, it receives a single view from time to time, in case its
+//! process was replaced.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
 
-/// Views in flight, by a key `K` of each: its index in the frame, or frame and index.
+/// Views in flight by key `K`: index in the frame, or frame and index.
 ///
-/// Times are of any clock that never goes back.
+/// All times are of one monotonic clock.
 #[derive(Debug, Clone)]
 pub(crate) struct Dispatcher<K> {
     window: usize,
@@ -18,31 +18,22 @@ pub(crate) struct Dispatcher<K> {
     views: BTreeMap<K, IssuedView>,
 }
 
-/// What a worker's answer means.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Acknowledgement {
-    /// The view's first answer: it is done, whatever becomes of its other attempts.
-    First,
-    /// The view was done already, or is not known: counts for nothing.
-    Repeated,
-}
-
 #[derive(Debug, Clone, Copy, Default)]
 struct WorkerRecord {
     stalled_since: Option<Duration>,
-    /// When it last answered.
+    /// Time of the last answer.
     answered: Option<Duration>,
-    /// How often its views were taken back since then.
+    /// Number of timeouts since then.
     silences: u64,
-    /// Whether [`Dispatcher::silent`] has not returned the last time yet.
+    /// Whether [`Dispatcher::silent`] has not reported the last timeout yet.
     is_unreported: bool,
 }
 
 #[derive(Debug, Clone, Default)]
 struct IssuedView {
-    /// Attempts not yet answered nor taken back.
+    /// Attempts that were neither answered nor taken back.
     in_flight: Vec<ViewAttempt>,
-    /// The number of the next attempt.
+    /// Number of the next attempt.
     attempts: u32,
     is_done: bool,
 }
@@ -55,8 +46,8 @@ struct ViewAttempt {
 }
 
 impl<K: Ord + Copy> Dispatcher<K> {
-    /// Dispatches to workers 0 to `workers` - 1, each with at most `window_per_worker` views in
-    /// flight. A stalled worker is left alone for `probe_after` before it is tried again.
+    /// A dispatcher for workers 0 to `workers` - 1, each with at most `window_per_worker` views in
+    /// flight. A stalled worker gets its next view after `probe_after`.
     pub(crate) fn new(workers: usize, window_per_worker: usize, probe_after: Duration) -> Self {
         Self {
             window: window_per_worker,
@@ -66,9 +57,8 @@ impl<K: Ord + Copy> Dispatcher<K> {
         }
     }
 
-    /// The worker for the next view: of those that live and have room, the one with the fewest
-    /// views in flight, and of equals the first. A worker stalled for long counts as one with room
-    /// for a single view.
+    /// The worker for the next view: the first worker with the fewest views in flight and room for
+    /// another. A worker that has been stalled for `probe_after` has room for a single view.
     pub(crate) fn next_worker(&self, now: Duration) -> Option<usize> {
         (0..self.workers.len())
             .map(|worker| (self.outstanding_of(worker), worker))
@@ -85,12 +75,12 @@ impl<K: Ord + Copy> Dispatcher<K> {
         }
     }
 
-    /// The number that the next attempt of `view` will have, from 0.
+    /// Number of the next attempt of `view`, from 0.
     pub(crate) fn next_attempt(&self, view: K) -> u32 {
         self.views.get(&view).map_or(0, |issued| issued.attempts)
     }
 
-    /// Notes that `view` went to `worker`, and returns the number of this attempt, from 0.
+    /// Notes that `view` was sent to `worker`. Returns the number of this attempt, from 0.
     pub(crate) fn issued(&mut self, view: K, worker: usize, now: Duration) -> u32 {
         let issued = self.views.entry(view).or_default();
         let number = issued.attempts;
@@ -99,38 +89,36 @@ impl<K: Ord + Copy> Dispatcher<K> {
         number
     }
 
-    /// Notes an answer; the worker lives. A view counts as done with its first answer, be that of
-    /// an attempt that was taken back: one not yet cut again need not be.
-    pub(crate) fn acknowledged(
+    /// Notes an answer; its worker is no longer stalled. Returns whether it is the view's first
+    /// answer. The view is then done, even if that attempt was taken back.
+    pub(crate) fn note_answer(
         &mut self,
         view: K,
         worker: usize,
         attempt: u32,
         now: Duration,
-    ) -> Acknowledgement {
+    ) -> bool {
         if let Some(worker) = self.workers.get_mut(worker) {
             *worker = WorkerRecord { answered: Some(now), ..WorkerRecord::default() };
         }
-        let Some(issued) = self.views.get_mut(&view) else { return Acknowledgement::Repeated };
+        let Some(issued) = self.views.get_mut(&view) else { return false };
         if attempt >= issued.attempts {
-            return Acknowledgement::Repeated;
+            return false;
         }
         issued.in_flight.retain(|other| (other.number, other.worker) != (attempt, worker));
-        let answer =
-            if issued.is_done { Acknowledgement::Repeated } else { Acknowledgement::First };
-        issued.is_done = true;
+        let is_first = !std::mem::replace(&mut issued.is_done, true);
         if issued.in_flight.is_empty() {
             self.views.remove(&view);
         }
-        answer
+        is_first
     }
 
-    /// Takes back the views of each worker that has answered nothing for `timeout`, neither since
-    /// its oldest view was issued nor since its last answer, and marks it stalled. All its views
-    /// are taken: those behind the oldest would be later still.
+    /// Marks each worker as stalled that has given no answer for `timeout`, counted from its oldest
+    /// view or its last answer. All its views are taken back, because later ones would be even
+    /// later.
     ///
-    /// Returns the views that must be cut for another worker, in rising order; those that another
-    /// attempt has done, or may yet do, are not among them.
+    /// Returns the views to cut again for another worker, in rising order. Views that are done, or
+    /// have another attempt in flight, are not included.
     pub(crate) fn overdue(&mut self, now: Duration, timeout: Duration) -> Vec<K> {
         let mut oldest: Vec<Option<Duration>> = vec![None; self.workers.len()];
         for attempt in self.views.values().flat_map(|issued| &issued.in_flight) {
@@ -167,8 +155,8 @@ impl<K: Ord + Copy> Dispatcher<K> {
         lost
     }
 
-    /// The workers whose views were taken back since the last call, each with how often that has
-    /// happened since it last answered.
+    /// Workers with a timeout since the last call, each with the number of timeouts since its last
+    /// answer.
     pub(crate) fn silent(&mut self) -> Vec<(usize, u64)> {
         let unreported =
             self.workers.iter_mut().enumerate().filter(|(_, worker)| worker.is_unreported);
@@ -180,18 +168,18 @@ impl<K: Ord + Copy> Dispatcher<K> {
             .collect()
     }
 
-    /// Forgets every view that `is_wanted` denies: nobody waits for the answers of an abandoned
-    /// frame.
+    /// Removes all views for which `is_wanted` is false: answers of an abandoned frame are not
+    /// needed.
     pub(crate) fn retain(&mut self, mut is_wanted: impl FnMut(K) -> bool) {
         self.views.retain(|&view, _| is_wanted(view));
     }
 
-    /// Views in flight: issued, and neither answered nor taken back.
+    /// Number of views in flight: neither answered nor taken back.
     pub(crate) fn outstanding(&self) -> usize {
         self.views.values().filter(|view| !view.is_done && !view.in_flight.is_empty()).count()
     }
 
-    /// How many views `worker` has been given and neither answered nor lost.
+    /// Number of views in flight at `worker`.
     pub(crate) fn outstanding_of(&self, worker: usize) -> usize {
         let attempts = self.views.values().flat_map(|issued| &issued.in_flight);
         attempts.filter(|attempt| attempt.worker == worker).count()
@@ -225,7 +213,7 @@ mod tests {
         }
         assert_eq!(order, [0, 1, 0, 1]);
         assert_eq!((views.next_worker(at(0)), views.outstanding()), (None, 4));
-        assert_eq!(views.acknowledged(1, 1, 0, at(5)), Acknowledgement::First);
+        assert!(views.note_answer(1, 1, 0, at(5)));
         assert_eq!((views.next_worker(at(5)), views.outstanding()), (Some(1), 3));
     }
 
@@ -241,7 +229,7 @@ mod tests {
         for view in 0..4 {
             views.issued(view, view as usize % 2, at(0));
         }
-        assert_eq!(views.acknowledged(1, 1, 0, at(40)), Acknowledgement::First);
+        assert!(views.note_answer(1, 1, 0, at(40)));
         assert_eq!(views.overdue(at(99), TIMEOUT), Vec::<u32>::new());
         // Worker 0 is dead; worker 1 answered 60 ms ago and is only busy.
         assert_eq!(views.overdue(at(100), TIMEOUT), [0, 2]);
@@ -252,7 +240,7 @@ mod tests {
             assert_eq!(views.issued(view, 1, at(100)), 1);
         }
         for (view, attempt) in [(3, 0), (0, 1), (2, 1)] {
-            assert_eq!(views.acknowledged(view, 1, attempt, at(120)), Acknowledgement::First);
+            assert!(views.note_answer(view, 1, attempt, at(120)));
         }
         assert_eq!(views.outstanding(), 0);
     }
@@ -264,12 +252,12 @@ mod tests {
         assert_eq!(views.overdue(at(100), TIMEOUT), [7]);
         assert_eq!(views.issued(7, 1, at(100)), 1);
         // The stalled worker answers after all, then the other one does.
-        assert_eq!(views.acknowledged(7, 0, 0, at(110)), Acknowledgement::First);
+        assert!(views.note_answer(7, 0, 0, at(110)));
         assert!(!is_stalled(&views, 0));
         assert_eq!((views.outstanding(), views.outstanding_of(1)), (0, 1));
-        assert_eq!(views.acknowledged(7, 1, 1, at(120)), Acknowledgement::Repeated);
+        assert!(!views.note_answer(7, 1, 1, at(120)));
         assert_eq!(views.outstanding_of(1), 0);
-        assert_eq!(views.acknowledged(7, 1, 1, at(121)), Acknowledgement::Repeated);
+        assert!(!views.note_answer(7, 1, 1, at(121)));
     }
 
     #[test]
@@ -277,7 +265,7 @@ mod tests {
         let mut views = Dispatcher::new(1, 2, at(1000));
         views.issued(7, 0, at(0));
         assert_eq!(views.overdue(at(100), TIMEOUT), [7]);
-        assert_eq!(views.acknowledged(7, 0, 0, at(110)), Acknowledgement::First);
+        assert!(views.note_answer(7, 0, 0, at(110)));
         assert_eq!(views.overdue(at(900), TIMEOUT), Vec::<u32>::new());
     }
 
@@ -285,8 +273,8 @@ mod tests {
     fn attempts_that_were_never_made_answer_nothing() {
         let mut views = Dispatcher::new(1, 2, at(1000));
         views.issued(7, 0, at(0));
-        assert_eq!(views.acknowledged(7, 0, 1, at(1)), Acknowledgement::Repeated);
-        assert_eq!(views.acknowledged(8, 5, 0, at(1)), Acknowledgement::Repeated);
+        assert!(!views.note_answer(7, 0, 1, at(1)));
+        assert!(!views.note_answer(8, 5, 0, at(1)));
         assert_eq!(views.outstanding(), 1);
     }
 
@@ -312,8 +300,8 @@ mod tests {
         views.issued((5, 0), 0, at(0));
         views.retain(|(frame, _)| frame == 5);
         assert_eq!(views.outstanding(), 1);
-        assert_eq!(views.acknowledged((4, 0), 0, 0, at(1)), Acknowledgement::Repeated);
-        assert_eq!(views.acknowledged((5, 0), 0, 0, at(1)), Acknowledgement::First);
+        assert!(!views.note_answer((4, 0), 0, 0, at(1)));
+        assert!(views.note_answer((5, 0), 0, 0, at(1)));
     }
 
     proptest! {
@@ -347,7 +335,7 @@ mod tests {
                 let mut kept = Vec::new();
                 for (view, worker, attempt) in std::mem::take(&mut held) {
                     let chance = luck.next().unwrap_or(if worker == 0 { 9 } else { 0 });
-                    if chance >= 5 && dispatcher.acknowledged(view, worker, attempt, now) == Acknowledgement::First {
+                    if chance >= 5 && dispatcher.note_answer(view, worker, attempt, now) {
                         done.push(view);
                         pending.remove(&view);
                     }

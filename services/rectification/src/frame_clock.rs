@@ -1,25 +1,24 @@
-//! How much of a frame may be cut: by the time in flight, by stated costs in a lossless run.
+//! Time budget of a frame: real time in flight, configured costs in a lossless run.
 
 use flockeye_config::{FrameLimit, Pipeline};
 use flockeye_contract::{FrameStamp, PlannedView, StageName, StopReason};
 
 use crate::cadence::Cadence;
-use crate::job::Upcoming;
 use crate::virtual_budget::VirtualBudget;
 
-/// What decides whether there is time for one more tile of a frame.
+/// Source of the decision whether time remains for a further view of a frame.
 #[derive(Debug, Clone)]
 pub(crate) enum FrameClock {
-    /// The time, in flight.
+    /// Real time, in flight.
     Live(Cadence),
-    /// Stated costs, in a lossless run that does what flight does.
+    /// Configured costs, in a lossless run that behaves like flight.
     Virtual(VirtualBudget),
-    /// The plan's own budget of views.
+    /// The plan's view budget.
     Unlimited,
 }
 
 impl FrameClock {
-    /// The clock that a configuration asks for.
+    /// The clock for a configuration.
     pub(crate) fn of(pipeline: &Pipeline) -> Self {
         match pipeline.limit() {
             FrameLimit::Time => Self::Live(Cadence::default()),
@@ -31,26 +30,26 @@ impl FrameClock {
         }
     }
 
-    /// Whether a plan's own budget of views counts.
+    /// Whether the plan's view budget applies.
     pub(crate) fn is_unlimited(&self) -> bool {
         matches!(self, Self::Unlimited)
     }
 
-    /// A frame came at `now_ns`.
+    /// Notes a frame that arrived at `now_ns`.
     pub(crate) fn note_arrival(&mut self, stamp: &FrameStamp, now_ns: i64) {
         if let Self::Live(cadence) = self {
             cadence.note(stamp, now_ns);
         }
     }
 
-    /// A frame is taken up.
+    /// Notes that a frame becomes active.
     pub(crate) fn begin_frame(&mut self, stamp: &FrameStamp) {
         if let Self::Virtual(budget) = self {
             budget.begin_frame(stamp);
         }
     }
 
-    /// The picture was looked at for places like a body, which took `took_ns`.
+    /// Notes a proposal search in the frame and its duration.
     pub(crate) fn note_look(&mut self, took_ns: i64) {
         match self {
             Self::Live(cadence) => cadence.note_look(took_ns),
@@ -59,7 +58,7 @@ impl FrameClock {
         }
     }
 
-    /// A view was cut, which took `took_ns`.
+    /// Notes a cut of a view and its duration.
     pub(crate) fn note_cut(&mut self, planned: &PlannedView, took_ns: i64) {
         match self {
             Self::Live(cadence) if planned.is_tile() => cadence.note_cut(took_ns),
@@ -68,40 +67,40 @@ impl FrameClock {
         }
     }
 
-    /// A tile was searched for `took_ns`, as its worker reports.
+    /// Notes the search time of a tile, as its worker reports it.
     pub(crate) fn note_search(&mut self, took_ns: i64) {
         if let Self::Live(cadence) = self {
             cadence.note_search(took_ns);
         }
     }
 
-    /// Why there is no time for the view `next`: a newer frame waits or is due, or the frame's
-    /// budget is spent. `None` where there is.
+    /// The reason why no time remains for the view `next`: a newer frame, or a spent budget. `None`
+    /// if time remains. The flag of `next` is true if it needs a proposal search before.
     pub(crate) fn why_over(
         &self,
-        next: Option<Upcoming<'_>>,
+        next: Option<(&PlannedView, bool)>,
         is_newer_waiting: bool,
         now_ns: i64,
     ) -> Option<StopReason> {
         match self {
             Self::Live(cadence) => {
-                let needs_look = next.is_some_and(|next| next.needs_look);
+                let needs_look = next.is_some_and(|(_, needs_look)| needs_look);
                 let has_time = cadence.has_time_to_cut(needs_look, now_ns);
                 (is_newer_waiting || !has_time).then_some(StopReason::Newer)
             }
             Self::Virtual(budget) => {
-                next.is_some_and(|next| !budget.fits(next)).then_some(StopReason::Budget)
+                let is_too_much = |(view, needs_look)| !budget.fits(view, needs_look);
+                next.is_some_and(is_too_much).then_some(StopReason::Budget)
             }
             Self::Unlimited => None,
         }
     }
 
-    /// Whether another tile may be on its way to `workers`, which have not answered `outstanding`
-    /// views.
+    /// Whether another tile may be sent to the workers while `outstanding` views are in flight.
     ///
-    /// In flight one worker stays free of tiles, because they would delay the next frame's regions
-    /// of interest. A single worker gets one tile at a time. One more is cut ahead while it and the
-    /// one before will have been searched before the next frame is due.
+    /// In flight, one worker stays free of tiles, which would delay the next frame's regions of
+    /// interest. A single worker gets one tile at a time. One more tile is cut ahead if both are
+    /// done before the next frame is due.
     pub(crate) fn has_room_for_tile(
         &self,
         outstanding: usize,

@@ -1,5 +1,4 @@
-//! Views cut by the graphics processor: those of a frame together, while the next frame is on its
-//! way.
+//! GPU back end: cuts the views of a frame together, while the next frame is uploaded.
 
 mod adapter;
 mod batch;
@@ -17,8 +16,7 @@ use self::device::Device;
 use self::slot::FrameSlot;
 use crate::rectifier::{Rectifier, RectifyError};
 
-/// Frames on the device at once: one whose last views may have to be cut again, the one that is
-/// being cut, and the next.
+/// Frames on the device at once: the last (for repeated cuts), the one being cut, and the next.
 const FRAMES: usize = 3;
 
 /// Cuts views by a compute shader. A frame is uploaded once, and buffers are kept from frame to
@@ -28,7 +26,7 @@ pub struct GpuRectifier {
     device: Device,
     description: String,
     slots: [FrameSlot; FRAMES],
-    /// Counts calls.
+    /// Counter of calls, for the order of use of the slots.
     now: u64,
 }
 
@@ -47,13 +45,13 @@ impl GpuRectifier {
             now: 0,
         }
     }
-    /// Refuses a camera whose frames the device has no room for.
+    /// Checks that the device has room for the camera's frames.
     pub(crate) fn check_frame(&self, camera: &Camera) -> Result<(), RectifyError> {
         let bytes = u64::from(camera.width()) * u64::from(camera.height());
         self.device.check_fits(slot::FRAME, bytes)
     }
 
-    /// The slot of a frame, which is uploaded if it is not there.
+    /// The slot of a frame. Uploads the frame if it is in no slot.
     fn slot_of(
         &mut self,
         frame: FrameOrder,
@@ -73,8 +71,8 @@ impl GpuRectifier {
         Ok(index)
     }
 
-    /// The slot for another frame: of one that was prepared and never cut, which a newer one has
-    /// overtaken, or else the one that was used longest ago.
+    /// The slot to reuse: one with a frame that was prepared but never cut, or else the least
+    /// recently used.
     fn replaceable(&self) -> usize {
         let order = |slot: &FrameSlot| (!slot.is_untouched(), slot.used);
         (0..FRAMES).min_by_key(|&index| order(&self.slots[index])).unwrap_or(0)

@@ -1,4 +1,4 @@
-//! The ports that rectification reads, and in which order it reads them.
+//! Input ports of rectification, and the order in which they are read.
 
 use flockeye_config::Flow;
 use flockeye_contract::{Detections, Frames, Plans};
@@ -24,8 +24,8 @@ impl InputPorts {
         })
     }
 
-    /// Gives the core all that has come, and returns how many frames were dropped. A lossless
-    /// source sends a frame after it has the plan for it, so frames come first.
+    /// Passes all received messages to the core. Returns the number of dropped frames. Frames are
+    /// read first: in a lossless run the source sends a frame after its plan.
     pub(crate) fn receive(&mut self, core: &mut Core<Message<Frames>>) -> Result<u64, PortError> {
         let mut dropped = 0;
         while (self.flow == Flow::Latest || core.waiting.is_none())

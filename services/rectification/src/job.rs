@@ -1,4 +1,4 @@
-//! One frame's views: which are cut, which is next, and when it is enough.
+//! Views of one frame: their order, their state, and the end of the frame.
 
 use std::collections::BTreeSet;
 
@@ -6,13 +6,13 @@ use flockeye_contract::{FrameHeader, NONE, PlannedView, Search, StopReason, Stop
 use flockeye_convert::{at_exposure, xyzw};
 use flockeye_geometry::view::View;
 
-/// A frame's views, and how far they are cut.
+/// The views of a frame, and their state.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct FrameJob {
     pub(crate) frame: FrameHeader,
-    /// The plan that is followed; 0: this stage's own sweep.
+    /// Id of the plan; 0: this stage's own sweep.
     pub(crate) plan_id: u64,
-    /// When work on it began, CLOCK_MONOTONIC, nanoseconds.
+    /// Begin of the work on the frame, CLOCK_MONOTONIC, nanoseconds.
     pub(crate) taken_ns: i64,
     views: Vec<PlannedView>,
     stop_rule: StopRule,
@@ -21,41 +21,34 @@ pub(crate) struct FrameJob {
     unanswered: BTreeSet<u32>,
     recut: BTreeSet<u32>,
     has_hit: bool,
-    /// Whether a view of it could not be cut: no other is tried.
+    /// Whether a cut has failed: no other view is tried.
     pub(crate) has_failed: bool,
     ended: Option<StopReason>,
-    /// Whether rectification has found the places of its proposals.
+    /// Whether the proposals have their places from the proposal search.
     are_proposals_placed: bool,
 }
 
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Upcoming<'v> {
-    pub(crate) view: &'v PlannedView,
-    /// Whether the picture must be looked at for places before it is cut.
-    pub(crate) needs_look: bool,
-}
-
-/// Tiles that are cut ahead, beyond as many as were cut of the frame before.
+/// Number of tiles cut ahead, in addition to the tiles cut in the frame before.
 const SPARE_TILES: usize = 2;
 
-/// What comes next for a frame.
+/// Next step of a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum NextView {
     Cut {
         /// Its index in the plan.
         index: u32,
-        /// Whether a newer frame may push it out: it must not delay the next frame's views.
+        /// Whether a newer frame has priority over it: it must not delay the next frame's views.
         is_yielding: bool,
     },
-    /// Publish the frame's end: no further view of it is cut, for this reason.
+    /// Publish the frame's end, for this reason.
     End(StopReason),
-    /// Wait for the answers to its views: it has ended.
+    /// Wait for the answers to the views of an ended frame.
     Wait,
 }
 
 impl FrameJob {
-    /// The plan's `views` of a frame, under a rule; `budget` limits how many are cut in a lossless
-    /// run.
+    /// A job with the plan's `views` and stop rule. `budget` limits the number of views in a
+    /// lossless run.
     pub(crate) fn new(
         frame: FrameHeader,
         plan_id: u64,
@@ -81,8 +74,7 @@ impl FrameJob {
         }
     }
 
-    /// What to do next. `why_over` is the reason why there is no time for another view, if there is
-    /// none.
+    /// The next step. `why_over` is the reason why no time remains for another view, if so.
     pub(crate) fn next(&self, why_over: Option<StopReason>) -> NextView {
         if self.has_failed {
             return NextView::End(StopReason::Failed);
@@ -105,8 +97,8 @@ impl FrameJob {
         if self.issued >= self.budget {
             return NextView::End(StopReason::Budget);
         }
-        // A neighbour's view is never pushed out, and no tile before it delays it. Neither is a
-        // frame's first view pushed out: under overload every frame would be.
+        // Views of neighbours, and all views before them, are always cut. The frame's first view is
+        // always cut too, so that frames under overload have at least one view.
         let is_yielding =
             may_yield(view) && self.issued > 0 && self.views[self.issued..].iter().all(may_yield);
         if let Some(reason) = why_over.filter(|_| is_yielding) {
@@ -115,9 +107,9 @@ impl FrameJob {
         NextView::Cut { index: self.issued as u32, is_yielding }
     }
 
-    /// Views that will probably be cut, where `searched` tiles of the frame before were cut: all
-    /// views of neighbours, and a few tiles more than that. Proposals are among them once they have
-    /// places.
+    /// Views that will probably be cut: all views of neighbours, and `searched` + [`SPARE_TILES`]
+    /// tiles. `searched` is the number of tiles cut in the frame before. Proposals are included
+    /// once they have places.
     pub(crate) fn likely(&self, searched: usize) -> Vec<u32> {
         let mut tiles = match self.stop_rule {
             StopRule::All => usize::MAX,
@@ -132,7 +124,7 @@ impl FrameJob {
         self.from(0).filter(|&index| is_likely(&self.views[index as usize])).collect()
     }
 
-    /// Indices of the views from `index` on that the rule and the budget allow.
+    /// Indices of the views from `index` on within the stop rule and the budget.
     pub(crate) fn from(&self, index: u32) -> impl Iterator<Item = u32> {
         let end = match self.stop_rule {
             StopRule::Deadline => self.views.len().min(self.budget),
@@ -141,19 +133,19 @@ impl FrameJob {
         index..end as u32
     }
 
-    /// How many tiles were published.
+    /// Number of published tiles.
     pub(crate) fn searched(&self) -> usize {
         let views = self.views.iter().take(self.issued);
         views.filter(|view| view.is_tile()).count()
     }
 
-    /// A view, turned to the frame's exposure, and its entry in the plan.
+    /// A view, rotated to the frame's exposure, and its entry in the plan.
     pub(crate) fn view(&self, index: u32) -> Option<(View, PlannedView)> {
         let planned = self.views.get(index as usize)?;
         Some((at_exposure(planned, self.frame.stamp.exposure_ns), *planned))
     }
 
-    /// Whether the places of its proposals are still to be found.
+    /// Whether the proposals have no places yet.
     pub(crate) fn awaits_places(&self) -> bool {
         !self.are_proposals_placed
     }
@@ -163,15 +155,14 @@ impl FrameJob {
         views.filter(|(_, view)| view.is_proposal()).map(|(index, _)| index).collect()
     }
 
-    /// Which of the plan's proposals a view is, from 0. `None` for another view.
+    /// Number of a view among the plan's proposals, from 0. `None` for other views.
     pub(crate) fn proposal(&self, index: u32) -> Option<usize> {
         let (before, rest) = self.views.split_at_checked(index as usize)?;
         let place = before.iter().filter(|view| view.is_proposal()).count();
         rest.first()?.is_proposal().then_some(place)
     }
 
-    /// Gives the plan's proposals their places, in this order. Proposals beyond stay as planned:
-    /// nothing.
+    /// Assigns places to the plan's proposals, in this order. Further proposals stay empty.
     pub(crate) fn place_proposals(&mut self, places: impl IntoIterator<Item = View>) {
         self.are_proposals_placed = true;
         let slots = self.views.iter_mut().filter(|view| view.is_proposal());
@@ -182,7 +173,7 @@ impl FrameJob {
         }
     }
 
-    /// Whether that view is a tile of either resolution.
+    /// Whether the view is a tile of either resolution.
     pub(crate) fn is_tile(&self, index: u32) -> bool {
         self.views.get(index as usize).is_some_and(PlannedView::is_tile)
     }
@@ -194,24 +185,24 @@ impl FrameJob {
         self.unanswered.insert(index);
     }
 
-    /// Notes a worker's answer; `is_hit`: the view shows a marker of a configured body.
+    /// Notes an answer; `is_hit`: a marker of a configured body was found in the view.
     pub(crate) fn note_answer(&mut self, index: u32, is_hit: bool) {
         self.has_hit |= is_hit;
         self.unanswered.remove(&index);
         self.recut.remove(&index);
     }
 
-    /// Lets a view be cut again, whose worker does not answer.
+    /// Schedules a view for a repeated cut, after its worker's timeout.
     pub(crate) fn take_back(&mut self, index: u32) {
         if self.unanswered.remove(&index) {
             self.recut.insert(index);
         }
     }
 
-    /// The view that comes next in the plan's order.
-    pub(crate) fn upcoming(&self) -> Option<Upcoming<'_>> {
+    /// The next view in the plan's order, and whether it needs a proposal search before.
+    pub(crate) fn upcoming(&self) -> Option<(&PlannedView, bool)> {
         let view = self.views.get(self.issued)?;
-        Some(Upcoming { view, needs_look: view.is_proposal() && self.awaits_places() })
+        Some((view, view.is_proposal() && self.awaits_places()))
     }
 
     pub(crate) fn note_end(&mut self, reason: StopReason) {
@@ -219,7 +210,7 @@ impl FrameJob {
         self.ended = Some(reason);
     }
 
-    /// Whether nothing more is to come of it.
+    /// Whether the frame has ended and all its answers have arrived.
     pub(crate) fn is_done(&self) -> bool {
         self.ended.is_some() && self.unanswered.is_empty() && self.recut.is_empty()
     }
@@ -228,18 +219,18 @@ impl FrameJob {
         self.ended.is_some()
     }
 
-    /// Views published, and views of the plan that were not.
+    /// Number of published views, and of the plan's other views.
     pub(crate) fn tally(&self) -> (u32, u32) {
         (self.issued as u32, (self.views.len() - self.issued) as u32)
     }
 }
 
-/// Whether a newer frame may push a view out.
+/// Whether a newer frame has priority over a view.
 fn may_yield(view: &PlannedView) -> bool {
     view.is_tile() || view.is_proposal()
 }
 
-/// The views of a frame without a plan: all tiles, from where the last sweep stopped.
+/// The views of a frame without a plan: all tiles, from number `first` on.
 pub(crate) fn sweep(tiles: &[(u32, View)], first: usize) -> Vec<PlannedView> {
     let count = tiles.len();
     (0..count)

@@ -1,22 +1,22 @@
 //! Stage: frames and plans to views.
 //!
-//! | module | what it answers |
+//! | module | purpose |
 //! | --- | --- |
-//! | [`rectifier`] | what cuts views |
-//! | `backend` | which back end is chosen |
-//! | [`cpu`] | views cut by the processor |
-//! | [`gpu`] | views cut by the graphics processor |
-//! | `job` | which views of a frame are cut, which is next, and when it is enough |
-//! | `proposals` | which places that look like a body become views |
-//! | `dispatch` | which worker gets the next view, and which views were lost |
-//! | `cadence` | when the next frame is due, and what fits before |
-//! | `virtual_budget` | what fits into a frame by stated costs, in a lossless run |
-//! | `frame_clock` | which of the two decides |
+//! | [`rectifier`] | the interface of the back ends |
+//! | `backend` | choice of the back end |
+//! | [`cpu`] | the CPU back end |
+//! | [`gpu`] | the GPU back end |
+//! | `job` | views of one frame: order, state and end |
+//! | `proposals` | choice of places that resemble a body |
+//! | `dispatch` | distribution of views to workers, and lost views |
+//! | `cadence` | prediction of the next frame's arrival |
+//! | `virtual_budget` | time budget by configured costs, in a lossless run |
+//! | `frame_clock` | the time budget that applies |
 //! | [`core`](mod@core) | all decisions: events in, actions out |
-//! | [`cutting`] | cuts and searches of a frame's pixels, also once the back end is lost |
-//! | `inbox` | the ports that are read |
-//! | `silence_reports` | sources and workers that are silent |
-//! | `stage` | moves messages between ports, core and back end |
+//! | [`cutting`] | cuts and proposal searches, with the CPU as fallback |
+//! | `inbox` | the input ports |
+//! | `silence_reports` | timeouts of sources and workers |
+//! | `stage` | messages between ports, core and back end |
 
 #![warn(unreachable_pub)]
 
@@ -38,7 +38,7 @@ mod virtual_budget;
 
 pub use virtual_budget::PROPOSAL_WINDOWS;
 
-/// The rectification stage's process. It is here so that it is compiled once, with the library.
+/// The rectification stage's process. It is part of the library, so that it is compiled once.
 pub fn main() -> std::process::ExitCode {
     flockeye_runtime::stage::main::<stage::RectificationStage>()
 }

@@ -1,4 +1,4 @@
-//! Which places of a frame that look like a body become views.
+//! Choice of the places in a frame that resemble a body (proposals).
 
 use flockeye_config::Resolved;
 use flockeye_geometry::mask::Mask;
@@ -6,70 +6,67 @@ use flockeye_geometry::search::{PROPOSAL_FIELD_RADII, ROI_SIZE_MAX_PX};
 use flockeye_geometry::view::View;
 use flockeye_imaging::proposals::{Detail, MarkerSizes, Proposal};
 
-/// Places of a frame that are kept. In simulated gusts, 10 of the 12 bodies within 2.2 m and blurred
-/// by less than 4 px are among these (docs/results/experiments.md, quick look).
+/// Maximum number of places per frame. In simulated gusts, they include 10 of 12 bodies within 2.2
+/// m and below 4 px blur (docs/results/experiments.md, quick look).
 const MOST: usize = 24;
 
-/// Limit for how far a place moves from one frame to the next, radians: 170 degrees/s at 30
-/// frames/s.
+/// Maximum motion of a place between frames, radians: 170 degrees/s at 30 frames/s.
 const MAX_MOVE_RAD: f64 = 0.1;
 
-/// Limit for the ratio by which the side of a place changes from one frame to the next.
+/// Maximum ratio between the marker sides of a place in two frames.
 const MAX_SIDE_RATIO: f64 = 1.5;
 
-/// Pixels that a marker's side gets in a view, at most [`MAX_MAGNIFICATION`] times the sphere's.
+/// Side of a marker in a view, pixels; the magnification is at most [`MAX_MAGNIFICATION`].
 const MARKER_PX: f64 = 32.0;
 const MAX_MAGNIFICATION: f64 = 3.0;
 
-/// Frames after which a place becomes a view again: what is as it was reads no better.
+/// Frames after which a place becomes a view again: an unchanged picture gives the same result.
 const AGAIN_AFTER: u64 = 3;
 
-/// Smallest markers in single images, in sizes of the smallest that reads: bodies are found there
-/// whose markers do not read.
+/// Minimum marker size in single images, relative to the smallest readable one: bodies can be found
+/// there without readable markers.
 const LEAST_UNREAD_SIDES: f64 = 0.65;
 
-/// Least size assumed for the markers of a place, in sizes of the smallest that reads: a smaller
-/// one is seen at an angle, and others beside it are not.
+/// Minimum marker size assumed for a place, relative to the smallest readable one. A smaller marker
+/// is seen obliquely, and its neighbours are larger.
 const LEAST_SIDES: f64 = 1.2;
 
-/// Limit for half the field of a view, radians (40 degrees): near bodies are found by the tiles
-/// too.
+/// Maximum half field of a view, radians (40 degrees): tiles find near bodies too.
 const MAX_HALF_FIELD_RAD: f64 = 0.7;
 
-/// What is searched for in a frame.
+/// Parameters of a proposal search.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ProposalSearch {
-    /// The sizes of markers.
+    /// Sizes of the markers.
     pub sizes: MarkerSizes,
-    /// How closely the picture is searched.
+    /// Detail of the search.
     pub detail: Detail,
-    /// How many places are wanted at most, the best first.
+    /// Maximum number of places, the best first.
     pub most: usize,
 }
 
-/// A place that looks like a body.
+/// A place that resembles a body.
 #[derive(Debug, Clone, Copy)]
 struct BodyPlace {
     proposal: Proposal,
-    /// The frame in which it was a view last; 0: never.
+    /// Number of the frame in which it was last a view; 0: never.
     looked: u64,
 }
 
-/// Chooses the places: least recently cut first, and those that look most like a body first among
-/// them.
+/// Chooses the places: least recently cut first, then by score.
 #[derive(Debug)]
 pub(crate) struct ProposalChooser {
     /// `None` without bodies.
     sizes: Option<MarkerSizes>,
-    /// Whether each frame is an image for itself: no place was cut before, and there is time for a
-    /// thorough search.
+    /// Whether frames are independent images: no place was cut before, and a thorough search is
+    /// possible.
     is_single: bool,
     mask: Mask,
     pixels_per_radian: f64,
     places: Vec<BodyPlace>,
-    /// Indices into `places` of those that became views, in the order of the views.
+    /// Indices into `places` of the chosen places, in the order of the views.
     planned: Vec<usize>,
-    /// Frames with proposals.
+    /// Number of frames with proposals.
     frames: u64,
 }
 
@@ -97,15 +94,15 @@ impl ProposalChooser {
         })
     }
 
-    /// What is searched for, for at most `views` views. `None` without bodies.
+    /// The search for at most `views` views. `None` without bodies.
     pub(crate) fn search(&self, views: usize) -> Option<ProposalSearch> {
         let detail = if self.is_single { Detail::Thorough } else { Detail::Quick };
-        // Some of them may be behind the mask.
+        // Factor 2: the mask may hide some places.
         let most = 2 * MOST.max(views);
         self.sizes.map(|sizes| ProposalSearch { sizes, detail, most })
     }
 
-    /// At most `views` views of the places that [`ProposalChooser::search`] has `found`.
+    /// At most `views` views of the places `found` by [`ProposalChooser::search`].
     pub(crate) fn choose(&mut self, mut found: Vec<Proposal>, views: usize) -> Vec<View> {
         let Some(sizes) = self.sizes else { return Vec::new() };
         if self.is_single {
@@ -121,13 +118,13 @@ impl ProposalChooser {
             looked == 0 || self.frames >= looked + AGAIN_AFTER
         };
         self.planned = (0..self.places.len()).filter(is_due).collect();
-        // The sort is stable: the best come first among those cut in the same frame.
+        // The sort is stable: places of one frame keep their order by score.
         self.planned.sort_by_key(|&place| self.places[place].looked);
         self.planned.truncate(views);
         self.planned.iter().map(|&place| self.view(&self.places[place].proposal, &sizes)).collect()
     }
 
-    /// The frame in which the place of a proposal was a view last; 0: never.
+    /// Number of the frame in which the place of a proposal was last a view; 0: never.
     fn last_looked(&self, proposal: &Proposal) -> u64 {
         let apart = |place: &&BodyPlace| {
             place.proposal.direction_in_camera.angle(&proposal.direction_in_camera)
@@ -141,7 +138,7 @@ impl ProposalChooser {
         nearest.map_or(0, |place| place.looked)
     }
 
-    /// The `view`-th of the last frame's views was cut.
+    /// Notes that view number `view` of the last frame was cut.
     pub(crate) fn note_cut(&mut self, view: usize) {
         if let Some(&place) = self.planned.get(view) {
             self.places[place].looked = self.frames;
@@ -153,7 +150,7 @@ impl ProposalChooser {
         let half_rad =
             (PROPOSAL_FIELD_RADII * sizes.radius_in_sides * side_rad).min(MAX_HALF_FIELD_RAD);
         let field_rad = 2.0 * half_rad;
-        // No larger than a region of interest: shared memory has room for that.
+        // Limit: the size of a region of interest, for which shared memory has room.
         let most_px = f64::from(ROI_SIZE_MAX_PX) / (2.0 * half_rad.tan());
         let most = (MAX_MAGNIFICATION * self.pixels_per_radian).min(most_px);
         let focal_px = (MARKER_PX / side_rad).min(most);

@@ -1,22 +1,23 @@
-//! The back ends' common face.
+//! Interface of the back ends.
 
 use flockeye_contract::FrameOrder;
 use flockeye_imaging::sphere::{Cut, SphereError, SphereImage};
 
-/// Cuts views from frames. Two images of one [`FrameOrder`] are taken for the same.
+/// Cuts views from frames. A [`FrameOrder`] identifies a frame: images with equal order are taken
+/// as equal.
 ///
-/// [`Rectifier::cut`] alone gives any view of any frame. A graphics processor works ahead if it is
-/// informed before. [`Rectifier::prepare`] names the frame that comes next, which is uploaded while
-/// another is being cut. [`Rectifier::order`] names views that will be asked for, which are cut
-/// together. Both return at once; a back end that does not need them ignores them.
+/// [`Rectifier::cut`] alone is sufficient for any view of any frame. The other two calls let a GPU
+/// work ahead. [`Rectifier::prepare`] announces the next frame, which is uploaded while another is
+/// being cut. [`Rectifier::order`] announces views, which are cut together. Both return at once,
+/// and may do nothing.
 ///
-/// Both back ends give the same greys within 2, and each the same bytes whatever was prepared and
-/// ordered.
+/// The pixels of both back ends differ by at most 2. The bytes of a back end do not depend on
+/// earlier calls.
 pub trait Rectifier {
-    /// The back end and the device that works, for the log.
+    /// Name of the back end and its device, for the log.
     fn name(&self) -> String;
 
-    /// Begins to take up a frame. One prepared before and not cut since may make room for it.
+    /// Begins the upload of a frame. It may replace a prepared frame that was never cut.
     ///
     /// # Errors
     /// The device was lost or has no room for the frame.
@@ -24,8 +25,8 @@ pub trait Rectifier {
         Ok(())
     }
 
-    /// Begins to make `cuts` of a frame. Those ordered before are made only once, those that show
-    /// nothing are left to [`Rectifier::cut`] to refuse.
+    /// Begins to make `cuts` of a frame. Repeated cuts are made once. Invalid cuts are skipped;
+    /// [`Rectifier::cut`] refuses them.
     ///
     /// # Errors
     /// The device was lost, or has no room for the frame or a view.
@@ -33,11 +34,11 @@ pub trait Rectifier {
         Ok(())
     }
 
-    /// Makes `cut` of a frame into `out`, rows of `size_px` bytes without gaps.
+    /// Writes a cut of a frame into `out`, rows of `size_px` bytes without gaps.
     ///
     /// # Errors
-    /// A view that shows nothing, an output that is too short, a frame or a view that the device
-    /// cannot hold, a lost device. After [`RectifyError::is_lost`] the rectifier is of no more use.
+    /// An invalid view, a short output, a frame or view too large for the device, or a lost device.
+    /// After [`RectifyError::is_lost`] the rectifier cannot be used.
     fn cut(
         &mut self,
         frame: FrameOrder,
@@ -47,11 +48,11 @@ pub trait Rectifier {
     ) -> Result<(), RectifyError>;
 }
 
-/// Why no view was cut.
+/// Errors of a back end.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[expect(missing_docs, reason = "the texts name the fields")]
 pub enum RectifyError {
-    /// The sphere image, a view or an output is at fault.
+    /// The sphere image, a view or an output is invalid.
     #[error(transparent)]
     Sphere(#[from] SphereError),
     /// No driver offers a device.
@@ -60,10 +61,10 @@ pub enum RectifyError {
          mesa-vulkan-drivers) or set the back end to 'cpu'"
     )]
     NoAdapter,
-    /// The device is there, but gives no access.
+    /// The device exists, but cannot be opened.
     #[error("'{adapter}' cannot be used: {reason}; set the back end to 'cpu' to go without it")]
     Device { adapter: String, reason: String },
-    /// More than the device has room for.
+    /// A buffer exceeds the device's limit.
     #[error(
         "the {what} are {needed}, but '{adapter}' allows {limit}; make it smaller or set \
          rectification.backend to 'cpu'"
@@ -75,7 +76,7 @@ pub enum RectifyError {
 }
 
 impl RectifyError {
-    /// Whether the device is gone, so that another rectifier must be made.
+    /// Whether the device is lost, so that another rectifier must be created.
     pub fn is_lost(&self) -> bool {
         matches!(self, Self::Lost { .. })
     }

@@ -1,4 +1,4 @@
-//! Reports of a source or a worker that is silent.
+//! Reports of timeouts of the source and the workers.
 
 use std::rc::Rc;
 use std::time::Duration;
@@ -10,7 +10,7 @@ use flockeye_runtime::logs::Throttle;
 
 use crate::core::Core;
 
-/// Silence of a source that is reported, nanoseconds.
+/// Timeout of the source after which a warning is logged, nanoseconds.
 const SILENCE_NS: i64 = 5_000_000_000;
 
 pub(crate) struct SilenceReports {
@@ -20,13 +20,13 @@ pub(crate) struct SilenceReports {
 }
 
 impl SilenceReports {
-    /// Reports workers that answer nothing for `overdue`.
+    /// Reports for workers with the timeout `overdue`.
     pub(crate) fn new(listening: Rc<Listening>, overdue: Duration) -> Self {
         Self { listening, overdue, throttle: Throttle::default() }
     }
 
-    /// Reports what is silent now: a source in the log, a worker to the launcher, which knows the
-    /// worker's process and replaces it.
+    /// Reports current timeouts: of the source in the log, of a worker to the launcher, which
+    /// replaces the worker's process.
     pub(crate) fn attend<F>(&mut self, core: &mut Core<F>) {
         let silence_ns = core.silence_ns(clock::monotonic_ns());
         if silence_ns > SILENCE_NS && self.throttle.admit().is_some() {

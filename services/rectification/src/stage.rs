@@ -21,10 +21,10 @@ type FrameEvent = Event<Message<Frames>>;
 
 const REFUSED: &str = "frame refused";
 
-/// Takes frames, plans and detections (as acknowledgements); gives views and frame ends.
+/// Inputs: frames, plans, and detections as acknowledgements. Outputs: views and frame ends.
 pub(crate) struct RectificationStage {
     inbox: InputPorts,
-    /// One for each worker.
+    /// Publisher per worker.
     views: Vec<Publisher<Views>>,
     frame_ends: Publisher<FrameEnds>,
     core: Core<Message<Frames>>,
@@ -102,12 +102,12 @@ impl Stage for RectificationStage {
 }
 
 impl RectificationStage {
-    /// Gives the core the outcome of an action on a frame. A failed frame's end is published all
-    /// the same: others wait for it.
+    /// Passes the outcome of an action on a frame to the core. A failed frame's end is published
+    /// too, because other stages wait for it.
     fn feed(&mut self, frame: FrameOrder, outcome: Outcome<Option<FrameEvent>>, what: &str) {
         let event = outcome.unwrap_or_else(|error| {
             self.counters.add_failed(1);
-            // A flood of one does not hide the first of the other.
+            // Separate throttles: many messages of one kind do not suppress the other kind.
             let throttle = if what == REFUSED { &mut self.refusals } else { &mut self.failures };
             if let Some(more) = throttle.admit() {
                 tracing::warn!(frame = frame.2, more_since = more, "{what}: {error:#}");
@@ -132,7 +132,7 @@ impl RectificationStage {
         Ok(Event::Looked { frame, found, took_ns: clock::monotonic_ns() - begun_ns })
     }
 
-    /// Cuts a view straight into shared memory, and publishes it.
+    /// Cuts a view directly into shared memory, and publishes it.
     fn cut(&mut self, order: &CutOrder) -> Outcome<FrameEvent> {
         let begun_ns = clock::monotonic_ns();
         let (header, frame) = self.core.frame(order.frame()).context("the frame is gone")?;
@@ -142,7 +142,7 @@ impl RectificationStage {
         self.cutter.cut(header, frame.items(), order, loan.items_mut())?;
         let issued_ns = clock::monotonic_ns();
         let header = ViewHeader { issued_ns, ..order.header };
-        loan.send(header)?;
+        publisher.send_loan(loan, header)?;
         self.counters.add_latency_ns(issued_ns - header.taken_ns);
         Ok(Event::Published { header, took_ns: issued_ns - begun_ns })
     }

@@ -1,37 +1,35 @@
-//! Which views of a frame fit into its time by stated costs, so that a lossless run cuts what
-//! flight cuts and still gives the same bytes each time.
+//! Time budget of a frame by configured costs: a lossless run cuts the same views as flight, and is
+//! reproducible.
 
 use flockeye_config::Costs;
 use flockeye_contract::{FrameStamp, PlannedView, Search};
 
-use crate::job::Upcoming;
-
-/// The interval until two frames have shown it: that of the usual source, 30 frames/s.
+/// Interval assumed before the second frame: 30 frames/s.
 const FIRST_INTERVAL_NS: i64 = 33_333_333;
 
-/// A source that is slower than this leaves no more time for a frame.
+/// Maximum interval: a slower source does not increase the budget of a frame.
 const MAX_INTERVAL_NS: i64 = 1_000_000_000;
 
-/// Threshold windows that a proposal is searched with: as many as detection has for it.
+/// Number of threshold windows for a proposal, as in detection.
 pub const PROPOSAL_WINDOWS: f64 = 5.0;
 
-/// Processor time that is left of a frame, by the stated costs of the configuration.
+/// Remaining processor time of a frame, by the configured costs.
 ///
-/// A frame has the interval to the frame before, on each processor. Its source, its regions of
-/// interest and what fusion does with them come first; tiles get what is left. A frame that takes
-/// longer than it has takes the rest from the next one.
+/// The budget is the interval to the frame before, on each processor. Source, regions of interest
+/// and fusion are subtracted first; tiles use the rest. An overrun is subtracted from the next
+/// frame's budget.
 #[derive(Debug, Clone)]
 pub(crate) struct VirtualBudget {
     costs: Costs,
-    /// What each frame takes before its views.
+    /// Cost of each frame before its views, ms.
     each_frame_ms: f64,
     last: Option<FrameStamp>,
     left_ms: f64,
 }
 
 impl VirtualBudget {
-    /// A budget with these costs, before the first frame. `has_egomotion`: whether the camera's
-    /// rotation is measured.
+    /// A budget with these costs, before the first frame. `has_egomotion`: whether the egomotion
+    /// stage runs.
     pub(crate) fn new(costs: Costs, has_egomotion: bool) -> Self {
         let egomotion_ms = if has_egomotion { costs.egomotion_ms } else { 0.0 };
         let each_frame_ms = costs.source_ms + egomotion_ms;
@@ -43,27 +41,27 @@ impl VirtualBudget {
         let interval_ns = interval_ns.unwrap_or(FIRST_INTERVAL_NS).min(MAX_INTERVAL_NS);
         self.last = Some(*stamp);
         let whole_ms = interval_ns as f64 * 1e-6 * self.costs.processors;
-        // Flight skips frames when it is a whole frame late.
+        // Limit of the overrun: flight drops frames when it is a whole frame late.
         let overdrawn_ms = self.left_ms.clamp(-whole_ms, 0.0);
         self.left_ms = whole_ms + overdrawn_ms - self.each_frame_ms;
     }
 
-    /// Whether a view fits into what is left, with the look for places that it may need.
-    pub(crate) fn fits(&self, next: Upcoming<'_>) -> bool {
-        let look_ms = if next.needs_look { self.costs.proposals_ms } else { 0.0 };
-        look_ms + self.cost_ms(next.view) <= self.left_ms
+    /// Whether a view fits into the remaining budget, with a proposal search if needed.
+    pub(crate) fn fits(&self, planned: &PlannedView, needs_look: bool) -> bool {
+        let look_ms = if needs_look { self.costs.proposals_ms } else { 0.0 };
+        look_ms + self.cost_ms(planned) <= self.left_ms
     }
 
     pub(crate) fn spend(&mut self, planned: &PlannedView) {
         self.left_ms -= self.cost_ms(planned);
     }
 
-    /// The picture was looked at for places like a body.
+    /// Subtracts the cost of a proposal search.
     pub(crate) fn spend_look(&mut self) {
         self.left_ms -= self.costs.proposals_ms;
     }
 
-    /// What a view costs from its cut to its poses.
+    /// Cost of a view from its cut to its poses, ms.
     fn cost_ms(&self, planned: &PlannedView) -> f64 {
         let costs = &self.costs;
         let all_windows = if planned.is_proposal() { PROPOSAL_WINDOWS } else { 2.0 };
@@ -72,7 +70,7 @@ impl VirtualBudget {
             Ok(Search::FineWindow | Search::CoarseWindow) => 1.0,
             Ok(Search::AllWindows) | Err(_) => all_windows,
         };
-        // Cutting and searching take about the same time for each pixel.
+        // Cutting and searching have a cost proportional to the pixels.
         let megapixels = f64::from(planned.size_px).powi(2) * 1e-6;
         let is_region = !planned.is_tile() && !planned.is_proposal();
         let direct_pass_ms = if is_region { costs.direct_pass_ms } else { 0.0 };
@@ -113,8 +111,8 @@ mod tests {
     /// How many tiles, each searched with one window, fit into what is left. They are spent.
     fn tiles(budget: &mut VirtualBudget) -> usize {
         let tile = planned(ViewKind::Partition, Search::FineWindow);
-        let next = Upcoming { view: &tile, needs_look: false };
-        (0..).take_while(|_| budget.fits(next).then(|| budget.spend(&tile)).is_some()).count()
+        let mut spends = || budget.fits(&tile, false).then(|| budget.spend(&tile)).is_some();
+        (0..).take_while(|_| spends()).count()
     }
 
     #[test]
@@ -142,9 +140,8 @@ mod tests {
         let proposal =
             PlannedView { size_px: 500, ..planned(ViewKind::Proposal, Search::AllWindows) };
         (0..2).for_each(|_| budget.spend(&proposal));
-        let proposal_fits = |budget: &VirtualBudget, needs_look: bool| {
-            budget.fits(Upcoming { view: &proposal, needs_look })
-        };
+        let proposal_fits =
+            |budget: &VirtualBudget, needs_look: bool| budget.fits(&proposal, needs_look);
         assert_eq!(tiles(&mut budget), 3, "56.7 - 4.7 - 2 * 0.25 * 42 = 31 ms");
         budget.begin_frame(&stamp(1, 11));
         // 22 - 10 ms are left: 10.5 for a proposal, or 15.2 with the look.

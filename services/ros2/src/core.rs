@@ -1,11 +1,12 @@
-//! Which tracks and sightings are published, and as what. It has no port and no clock.
+//! Selection of the published tracks and sightings, and their conversion. It has no port and no
+//! clock.
 
 use flockeye_contract::{FrameStamp, PeerSighting, Track, TrackState};
 use flockeye_ros2::{ObserverSeen, RelativePose};
 use flockeye_runtime::newest::Newest;
 
-/// The neighbours of a frame that was exposed at `stamp_utc_ns`. Left out are tracks that may be
-/// nobody, lost ones, and those of frames older than the newest of their target.
+/// The neighbours of a frame that was exposed at `stamp_utc_ns`. Tentative and lost tracks are left
+/// out, and those of older frames than the newest of their target.
 pub(crate) fn neighbours_of(
     tracks: &[Track],
     stamp: &FrameStamp,
@@ -25,8 +26,8 @@ pub(crate) fn neighbours_of(
         .collect()
 }
 
-/// Where a peer sees this drone, at an exposure at `stamp_utc_ns`. None for its sightings of other
-/// drones and for lost tracks.
+/// A peer's sighting of this drone, at an exposure at `stamp_utc_ns`. None for its sightings of
+/// other drones and for lost tracks.
 pub(crate) fn odometry_of(sighting: &PeerSighting, stamp_utc_ns: i64) -> Option<ObserverSeen> {
     let is_lost = TrackState::try_from(sighting.state) == Ok(TrackState::Lost);
     if sighting.is_own == 0 || is_lost {

@@ -1,12 +1,12 @@
-//! Stage: tracks and peers' sightings to ROS 2.
+//! Stage: publishes tracks and peers' sightings to ROS 2.
 //!
 //! | module | what it does |
 //! | --- | --- |
-//! | `core` | which tracks and sightings are published, and as what |
+//! | `core` | selection and conversion of the published tracks and sightings |
 //! | `stage` | the ports, and the node of `flockeye-ros2` |
 //!
-//! It is an onlooker: it reads `track` and `peer`, and no other stage waits for it. So a router
-//! that is not there, or a process that dies, touches neither the swarm nor the frames.
+//! It is an onlooker: it reads `track` and `peer`, and no other stage waits for it. So a missing
+//! router or a crash of this process affects neither the swarm nor the frames.
 
 mod core;
 mod stage;

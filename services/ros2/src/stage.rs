@@ -13,10 +13,10 @@ use flockeye_runtime::{Context, Stage, Step, clock};
 
 use crate::core::{neighbours_of, odometry_of};
 
-/// How often the link with the router is looked at, nanoseconds.
+/// Period of the check of the link with the router, nanoseconds.
 const LOOK_NS: i64 = 500_000_000;
 
-/// Takes tracks and peers' sightings; gives messages of ROS 2.
+/// Publishes tracks and peers' sightings as messages of ROS 2.
 pub(crate) struct Ros2Stage {
     tracks: Subscriber<Tracks>,
     peers: Subscriber<Peers>,
@@ -82,7 +82,7 @@ impl Ros2Stage {
         self.counters.note_sent(published, &mut self.failures, what);
     }
 
-    /// Reports whether the router is there.
+    /// Reports whether the router is linked.
     fn look(&mut self, now_ns: i64) {
         self.look_ns = now_ns + LOOK_NS;
         let is_open = self.node.is_open();

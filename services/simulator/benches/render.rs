@@ -1,4 +1,4 @@
-//! What a frame costs: of 3840x1920 with one body and with four, and of other cameras with four.
+//! Benchmarks of a frame: 3840x1920 with one and four bodies, other cameras with four.
 
 #![allow(clippy::expect_used)]
 
@@ -9,7 +9,7 @@ use flockeye_geometry::camera::{Camera, CameraModel, Lens};
 use flockeye_simulator::{Attitude, Moment, Placement, World, WorldParameters};
 use nalgebra::{Isometry3, Rotation3, UnitQuaternion, Vector3};
 
-/// Bodies all round at `distance` metres, each moving sideways at half a metre per second.
+/// Bodies all round the camera at `distance` metres, each with a sideways velocity of 0.5 m/s.
 fn ring(count: u32, distance: f64) -> Moment {
     let placements = (0..count).map(|k| {
         let (sin, cos) = (f64::from(k) * std::f64::consts::TAU / f64::from(count)).sin_cos();
@@ -29,8 +29,7 @@ fn world(count: u32, camera: Camera) -> World {
     World::new(parameters, &bodies, &dictionary).expect("a world")
 }
 
-/// Two equidistant lenses of 190 degrees, 16 mm apart, whose circles fill an image twice as wide as
-/// high.
+/// Two equidistant lenses of 190 degrees, 16 mm apart; their circles fill an image of aspect 2:1.
 fn fisheyes(width: u32) -> Camera {
     let side = f64::from(width) / 2.0;
     let lens = |ahead: f64, middle: f64| {
@@ -70,7 +69,7 @@ fn other_cameras(criterion: &mut Criterion) {
     }
 }
 
-/// An observer in gusts: the backdrop is looked up along the way of each pixel.
+/// An observer in gusts: the backdrop is averaged along the path of each pixel.
 fn in_gusts(criterion: &mut Criterion) {
     let body = squares("body0", 0.0625, 0.05, 0);
     let bodies = Bodies::new("DICT_5X5_250".into(), vec![body]).expect("one");

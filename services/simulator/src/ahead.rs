@@ -1,8 +1,7 @@
-//! Frames drawn ahead of their time, on a thread of their own.
+//! Drawing of frames ahead of their time, in a separate thread.
 //!
-//! A camera's picture is there when its exposure ends, however busy the processors are. Drawing one
-//! takes most of a frame's time; so some are drawn before, and one that takes longer makes none
-//! late.
+//! A camera's picture is available when its exposure ends, at any processor load. Drawing takes
+//! most of a frame period. So frames are drawn ahead, and a slow one delays no other.
 
 use std::io;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
@@ -15,56 +14,56 @@ use flockeye_runtime::clock;
 use crate::schedule::{ExposureSchedule, Times};
 use crate::{FrameTruth, World};
 
-/// Pictures that are drawn, or wait.
+/// Number of picture buffers: being drawn, or waiting.
 const PICTURES: usize = 3;
 
-/// Frames that a picture is there before its time if all goes well.
+/// Target for the lead of a drawn picture, frames.
 const FRAMES_AHEAD: u64 = 2;
 
-/// The longest that a picture is waited for at a time.
+/// Timeout of one wait for a picture.
 const PATIENCE: Duration = Duration::from_millis(50);
 
 #[derive(Debug)]
 pub(crate) struct DrawnFrame {
-    /// Its luma, row by row without gaps.
+    /// Luma plane, rows without gaps.
     pub luma: Vec<u8>,
-    /// What is true of it.
+    /// Truth of the frame.
     pub truth: FrameTruth,
-    /// When it is exposed and handed over.
+    /// Times of exposure and publication.
     pub times: Times,
-    /// Frames before it that were left out.
+    /// Number of frames dropped before this one.
     pub skipped: u64,
-    /// How long drawing took, nanoseconds.
+    /// Drawing time, nanoseconds.
     pub took_ns: i64,
 }
 
-/// The thread that draws.
+/// Handle of the drawing thread.
 #[derive(Debug)]
 pub(crate) struct AheadDrawer {
     blank: SyncSender<Vec<u8>>,
     drawn: Receiver<anyhow::Result<DrawnFrame>>,
-    /// Ends with how many frames it left out at the end.
+    /// Thread; its result is the number of frames dropped at the end.
     thread: Option<JoinHandle<u64>>,
     picture_bytes: usize,
     has_begun: bool,
 }
 
-/// What came of waiting for the next frame.
+/// Outcome of the wait for the next frame.
 #[derive(Debug)]
 pub(crate) enum DrawOutcome {
     Frame(Box<DrawnFrame>),
-    /// Nothing: it is not drawn yet.
+    /// Timeout: the frame is not drawn yet.
     NotYet,
-    /// The end: there is no further frame.
+    /// End: no further frame follows.
     Over {
-        /// Frames that were left out at the end.
+        /// Number of frames dropped at the end.
         skipped: u64,
     },
 }
 
 impl AheadDrawer {
-    /// Draws the frames of `world` up to `last_frame`. Drawing begins when the first frame is asked
-    /// for, which takes longer than any other: the others' times follow from when it is there.
+    /// Draws the frames of `world` up to `last_frame`. Drawing begins with the first
+    /// [`Self::take`]. The first frame takes longest; the schedule starts when it is ready.
     pub(crate) fn start(world: World, last_frame: u64) -> io::Result<Self> {
         let camera = world.parameters().camera;
         let picture_bytes = camera.width() as usize * camera.height() as usize;
@@ -76,7 +75,7 @@ impl AheadDrawer {
         Ok(Self { blank, drawn, thread: Some(thread), picture_bytes, has_begun: false })
     }
 
-    /// The next frame, waited for a little.
+    /// Waits for the next frame, up to [`PATIENCE`].
     pub(crate) fn take(&mut self) -> anyhow::Result<DrawOutcome> {
         if !self.has_begun {
             self.has_begun = true;
@@ -95,14 +94,15 @@ impl AheadDrawer {
         }
     }
 
-    /// Gives a picture's memory back, to be drawn in again.
+    /// Returns a picture's memory for reuse.
     pub(crate) fn reuse(&self, luma: Vec<u8>) {
-        // There is room for all there are; and where the thread has ended, nobody draws any more.
+        // The channel has room for all pictures. An error means that the thread has ended, which is
+        // harmless.
         let _ = self.blank.try_send(luma);
     }
 }
 
-/// Returns how many frames were left out at the end.
+/// Body of the drawing thread. Returns the number of frames dropped at the end.
 fn draw_all(
     mut world: World,
     last_frame: u64,
@@ -112,8 +112,8 @@ fn draw_all(
     let width = world.parameters().camera.width() as usize;
     let frames_per_second = world.parameters().frames_per_second;
     let half_exposure_ns = (world.parameters().exposure_s * 0.5e9).round() as i64;
-    // A drone of a swarm goes by the swarm's time; else all others are due by when the first frame
-    // is there.
+    // In a swarm, the schedule follows the swarm's time. Otherwise it starts when the first frame
+    // is ready.
     let mut schedule = world.parameters().swarm.map(|swarm| {
         let start_ns = swarm.start_ns + (world.parameters().time_of(0) * 1e9).round() as i64;
         let now_ns = clock::monotonic_ns();

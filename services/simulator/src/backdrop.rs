@@ -1,4 +1,4 @@
-//! The panorama behind the bodies: made once, and turned with the observer's yaw in each frame.
+//! The panorama behind the bodies: painted once, and shifted by the observer's yaw in each frame.
 
 use std::f64::consts::TAU;
 use std::num::NonZero;
@@ -12,10 +12,10 @@ use crate::sensor::ImageSensor;
 use crate::sphere::SphereGrid;
 use flockeye_runtime::lock::lock;
 
-/// Blur along a row is widened towards the poles, up to this many columns.
+/// Maximum of the blur along a row, columns: it grows towards the poles.
 const WIDEST_SIGMA: f64 = 12.0;
 
-/// A panorama as the sensor encodes it.
+/// A panorama in levels and sigmas of the sensor.
 #[derive(Debug)]
 pub(crate) struct Backdrop {
     width: usize,
@@ -47,8 +47,8 @@ impl Backdrop {
         }
     }
 
-    /// Levels and sigmas of a row as an observer turned left by `shift` columns sees them: two
-    /// runs, of the first `shift` columns and of the others.
+    /// Levels and sigmas of a row for an observer turned left by `shift` columns: the first `shift`
+    /// columns, and the rest.
     pub(crate) fn row(&self, row: usize, shift: usize) -> [(&[u8], &[u8]); 2] {
         let whole = row * self.width..(row + 1) * self.width;
         let (levels, sigmas) = (&self.levels[whole.clone()], &self.sigmas[whole]);
@@ -57,8 +57,8 @@ impl Backdrop {
     }
 }
 
-/// The hall in linear light on this grid, blurred by the lens, `lens_blur_px` of the grid's own
-/// pixels, and by a steady turn of the observer at `yaw_rate`, radians per second.
+/// The hall in linear light on this grid, with lens blur and motion blur. `lens_blur_px` is in
+/// pixels of the grid; `yaw_rate` is constant, radians per second.
 pub(crate) fn painted(parameters: &WorldParameters, grid: &SphereGrid, yaw_rate: f64) -> Vec<f32> {
     let swept = yaw_rate.abs() * parameters.exposure_s * (grid.width as f64 / TAU);
     let kept = kept_painting::path(parameters, grid, swept);
@@ -95,11 +95,11 @@ fn freshly_painted(parameters: &WorldParameters, grid: &SphereGrid, swept: f64) 
     light
 }
 
-/// Two rays for each pixel, a quarter of it either way of the middle on a diagonal.
+/// Mean of two rays per pixel, on a diagonal, a quarter pixel from the centre.
 fn pixel_light(hall: &Hall, grid: &SphereGrid, column: usize, row: usize) -> f32 {
     let [cos_lon, sin_lon] = grid.columns[column];
     let [cos_lat, sin_lat] = grid.rows[row];
-    // A quarter of a pixel as a small turn.
+    // A quarter of a pixel, radians.
     let quarter = std::f32::consts::TAU / grid.width as f32 / 4.0;
     let ray = |turn: f32| {
         let (cos_lon, sin_lon) = (cos_lon - sin_lon * turn, sin_lon + cos_lon * turn);
@@ -109,8 +109,8 @@ fn pixel_light(hall: &Hall, grid: &SphereGrid, column: usize, row: usize) -> f32
     (ray(quarter) + ray(-quarter)) / 2.0
 }
 
-/// Calls `fill` for every row, on all processors. Each takes the next row when it is done with one,
-/// because some rows cost much more than others.
+/// Calls `fill` for every row, on all processors. Each thread takes the next free row, because the
+/// cost per row varies.
 pub(crate) fn for_rows<T: Send>(
     rows: &mut [T],
     width: usize,
@@ -118,7 +118,7 @@ pub(crate) fn for_rows<T: Send>(
 ) {
     let threads = std::thread::available_parallelism().map_or(1, NonZero::get);
     let rows = Mutex::new(rows.chunks_mut(width).enumerate());
-    // Nobody panics while the next row is taken, so a poisoned lock is as good as any.
+    // No code panics under this lock, so a poisoned lock is harmless.
     let next = || lock(&rows).next();
     std::thread::scope(|scope| {
         for _ in 0..threads {

@@ -1,7 +1,7 @@
-//! The core of the simulator: which frame is drawn or handed over next, and its messages. It has no
-//! port, no clock and no thread; pictures are drawn by [`World`].
+//! The core of the simulator: the order in which frames are drawn and published, and their
+//! messages. It has no port, no clock and no thread; [`World`] draws the pictures.
 //!
-//! [`Core::step`] gives the next action, and [`Core::on`] takes what came of waiting for a drawn
+//! [`Core::step`] returns the next action. [`Core::on`] takes the outcome of the wait for a drawn
 //! frame.
 
 use flockeye_config::{Flow, InertialSource, Resolved};
@@ -15,60 +15,59 @@ use crate::inertial::InertialSensor;
 use crate::messages::truth_message;
 use crate::{FrameTruth, World};
 
-/// Time before its hand-over at which a frame is copied into shared memory, nanoseconds: several
-/// times as long as that takes.
+/// Time from the copy of a frame into shared memory to its publication, nanoseconds: several times
+/// the duration of a copy.
 const COPY_AHEAD_NS: i64 = 10_000_000;
 
 #[derive(Debug)]
 pub(crate) enum Action {
     /// Draw this frame and publish it at once.
     Draw(u64),
-    /// Wait for the next frame that was drawn ahead.
+    /// Wait for the next frame that is drawn ahead of its time.
     Await,
-    /// Copy a frame, and publish it when its time has come.
+    /// Copy a frame, and publish it when it is due.
     HandOver(Box<DrawnFrame>),
-    /// Give a frame's memory back: the next frame's time has come.
+    /// Drop a frame and return its memory: the next frame is due already.
     LeaveOut(Box<DrawnFrame>),
-    /// Nothing until then, CLOCK_MONOTONIC, nanoseconds.
+    /// Do nothing until this time, CLOCK_MONOTONIC, nanoseconds.
     WaitUntil(i64),
-    /// Nothing any more.
+    /// End: the last frame is sent.
     Finish,
 }
 
-/// The messages of a frame, in the order in which they are sent: whoever gets the frame has the
-/// rest then.
+/// The messages of a frame in the order of sending: a receiver of the frame has the others already.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct PictureMessages {
-    /// What the inertial sensor has measured until the exposure's end; `None` without one.
+    /// Samples of the inertial sensor up to the end of the exposure; `None` without a sensor.
     pub(crate) inertial: Option<(ImuHeader, Vec<ImuSample>)>,
     pub(crate) truth: (TruthHeader, Vec<BodyTruth>),
     pub(crate) frame: FrameHeader,
 }
 
-/// What the simulator keeps between frames.
+/// State of the simulator between frames.
 pub(crate) struct Core {
     pace: FramePace,
-    /// What the headers of all frames have in common.
+    /// Header fields that are equal in all frames.
     common: FrameHeader,
     bodies: Vec<Body>,
     observer_from_camera: Isometry3<f64>,
     sensor: Option<InertialSensor>,
     pub(crate) last_frame: u64,
-    /// Whether the sensor's first samples were taken.
+    /// Whether the sensor has given its first samples.
     has_joined: bool,
 }
 
-/// When frames are drawn.
+/// The time at which frames are drawn.
 enum FramePace {
-    /// When they are asked for: a lossless run.
+    /// On request, in a lossless run.
     OnDemand { next_frame: u64 },
-    /// Before their time.
+    /// Ahead of their time, in flight.
     Ahead { waiting: Option<Box<DrawnFrame>>, is_over: bool },
 }
 
 impl Core {
-    /// The core that a configuration asks for, in generation `generation` of this stage. In `world`
-    /// these bodies are `flying`.
+    /// The core for a configuration, in generation `generation` of this stage. The bodies `flying`
+    /// are those in `world`.
     pub(crate) fn new(
         resolved: &Resolved,
         world: &World,
@@ -110,7 +109,8 @@ impl Core {
         (self.common.width, self.common.height)
     }
 
-    /// Takes what came of [`Action::Await`]. Returns how many frames were left out at the end.
+    /// Takes the outcome of [`Action::Await`]. Returns the number of frames that were dropped at
+    /// the end.
     pub(crate) fn on(&mut self, delivery: DrawOutcome) -> u64 {
         let FramePace::Ahead { waiting, is_over } = &mut self.pace else { return 0 };
         match delivery {
@@ -124,7 +124,7 @@ impl Core {
         0
     }
 
-    /// What to do at `now_ns`, CLOCK_MONOTONIC.
+    /// The next action at `now_ns`, CLOCK_MONOTONIC.
     pub(crate) fn step(&mut self, now_ns: i64) -> Action {
         match &mut self.pace {
             FramePace::OnDemand { next_frame } => {
@@ -153,7 +153,7 @@ impl Core {
     }
 
     /// The messages of a frame that is published at `now_ns`. The middle of its exposure is
-    /// `exposure_ns`; `None` in a lossless run, where the time of the stream counts.
+    /// `exposure_ns`; `None` in a lossless run, which uses stream time.
     pub(crate) fn messages(
         &mut self,
         truth: &FrameTruth,
@@ -176,7 +176,7 @@ impl Core {
         }
     }
 
-    /// What the sensor has measured when the exposure ends and the picture is there.
+    /// The samples up to the end of the exposure, when the picture is available.
     fn samples(
         &mut self,
         stamp: FrameStamp,

@@ -1,8 +1,8 @@
-//! The panorama behind the bodies for an observer that leans and turns unevenly.
+//! The panorama behind the bodies for an observer in gusts.
 //!
-//! It is painted once, on the six faces of a cube, which have no poles. Each frame looks it up
-//! along the way that its pixels take while the shutter is open, in linear light: so the backdrop
-//! is blurred as the camera turned, and each row by when it was exposed.
+//! It is painted once on the six faces of a cube, which have no poles. Each frame averages it in
+//! linear light along the path of each pixel during its exposure. So the backdrop has the camera's
+//! motion blur and rolling shutter.
 
 use std::f64::consts::TAU;
 use std::num::NonZero;
@@ -15,23 +15,23 @@ use crate::parameters::WorldParameters;
 use crate::sensor::ImageSensor;
 use crate::sphere::SphereGrid;
 
-/// Units of a stored value for each unit of light: lamps have three.
+/// Stored units per unit of light; the maximum is 3 units of light, at lamps.
 const LIGHT_UNITS: f32 = 16_384.0;
 /// Values in the table from light to levels.
 const LIGHTS: usize = 1 << 16;
-/// Pixels along the side of the blocks in which places on a face are interpolated.
+/// Side of the blocks in which positions on a face are interpolated, pixels.
 const BLOCK: usize = 8;
-/// Longest way between two looks, pixels, and the most looks.
+/// Maximum distance between two samples of a path, pixels, and maximum number of samples.
 const LOOK_PX: f64 = 1.5;
 const MAX_LOOKS: usize = 8;
-/// Fixed-point bits of a place.
+/// Fractional bits of a fixed-point position.
 const BITS: u32 = 12; // a face of 16,384 texels needs 14 more
 
 #[derive(Debug)]
 pub(crate) struct CubeBackdrop {
     /// Texels along the side of a face.
     side: usize,
-    /// Faces +x, -x, +y, -y, +z, -z, each with one more row and column than it has texels.
+    /// Faces +x, -x, +y, -y, +z, -z, each with an additional row and column.
     texels: Vec<u16>,
     /// Level and sigma of a light.
     encoded: Vec<[u8; 2]>,
@@ -40,7 +40,7 @@ pub(crate) struct CubeBackdrop {
     pixels_per_radian: f64,
 }
 
-/// A place on a face: which one, and texels from its corner.
+/// A position on a face: index of the face, and texels from its corner.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct CubePlace {
     face: u8,
@@ -48,10 +48,10 @@ struct CubePlace {
 }
 
 impl CubeBackdrop {
-    /// Paints the hall as finely as the camera's image shows it.
+    /// Paints the hall with the resolution of the camera's image.
     pub(crate) fn new(parameters: &WorldParameters, sensor: &ImageSensor) -> Self {
         let pixels_per_radian = parameters.camera.pixels_per_radian();
-        // The middle of a face is its coarsest place.
+        // The resolution is lowest at the centre of a face.
         let side = ((2.0 * pixels_per_radian).ceil() as usize).max(8);
         let width = ((pixels_per_radian * TAU).round() as usize).max(16) / 2 * 2;
         let grid = SphereGrid::new(width, width / 2);
@@ -79,7 +79,7 @@ impl CubeBackdrop {
         }
     }
 
-    /// Levels and sigmas of the whole sphere image, row by row, on all processors.
+    /// Writes levels and sigmas of the whole equirectangular image, on all processors.
     pub(crate) fn fill(
         &self,
         grid: &SphereGrid,
@@ -101,7 +101,7 @@ impl CubeBackdrop {
         });
     }
 
-    /// The bands of [`BLOCK`] rows from `first_row` on.
+    /// Writes the bands of [`BLOCK`] rows from `first_row` on.
     fn fill_bands(
         &self,
         grid: &SphereGrid,
@@ -144,15 +144,15 @@ impl CubeBackdrop {
         }
     }
 
-    /// What the corners of the blocks on a row see when the shutter opens there, and when it
-    /// closes.
+    /// Positions of a row's block corners on the cube, at the begin and the end of the exposure.
     fn nodes(&self, grid: &SphereGrid, camera: &Attitude, row: usize) -> Vec<[CubePlace; 2]> {
         let begin_end = self.begin_end(camera, row as f64 / grid.height as f64);
         let [begin, end] = begin_end.map(|turn| turn.to_rotation_matrix().into_inner());
         let latitude = (0.5 - (row as f64 + 0.5) / grid.height as f64) * TAU / 2.0;
         let (sin_lat, cos_lat) = latitude.sin_cos();
         let place = |first: usize| {
-            // The corner behind the last column is the first one again, where the width allows it.
+            // The corner beyond the last column is computed; it is the first column if the blocks
+            // fit the width.
             let [cos_lon, sin_lon] = match grid.columns.get(first) {
                 Some(column) => column.map(f64::from),
                 None => {
@@ -166,19 +166,19 @@ impl CubeBackdrop {
         (0..=grid.width.div_ceil(BLOCK)).map(|block| place(block * BLOCK)).collect()
     }
 
-    /// Level and sigma of what one ray sees, in a row at this share of the image's height.
+    /// Level and sigma for one ray, in a row at this share of the image's height.
     pub(crate) fn of_ray(&self, camera: &Attitude, ray: &Vector3<f64>, height: f64) -> [u8; 2] {
         let light = self.exactly(&self.begin_end(camera, height), ray, self.looks(camera));
         self.encoded[usize::from(light)]
     }
 
-    /// The camera's orientation when a row's exposure begins and when it ends.
+    /// Orientation of the camera at the begin and the end of a row's exposure.
     fn begin_end(&self, camera: &Attitude, height: f64) -> [UnitQuaternion<f64>; 2] {
         let middle_s = (height - 0.5) * self.readout_s;
         [-0.5, 0.5].map(|share| camera.after(middle_s + share * self.exposure_s).world_from_camera)
     }
 
-    /// At how many places along its way a pixel looks.
+    /// Number of samples along a pixel's path.
     fn looks(&self, camera: &Attitude) -> usize {
         let way_px = camera.rate_in_camera.norm() * self.exposure_s * self.pixels_per_radian;
         ((way_px / LOOK_PX).ceil() as usize).clamp(1, MAX_LOOKS)
@@ -200,8 +200,8 @@ impl CubeBackdrop {
         (sum / looks as u32) as u16
     }
 
-    /// Mean light along the ways of a block's row on one face. `corners`: above left, above right,
-    /// below left, below right, each when the shutter opens and when it closes.
+    /// Mean light along the paths of a block's row on one face. `corners`: top left, top right,
+    /// bottom left, bottom right, each at begin and end of the exposure.
     #[inline]
     fn along(
         &self,
@@ -232,7 +232,7 @@ impl CubeBackdrop {
         sums.map(|sum| (sum / looks as u32) as u16)
     }
 
-    /// Light at a place, interpolated.
+    /// Light at a position, interpolated.
     #[inline]
     fn texel(&self, face: u8, [across, down]: [i32; 2]) -> u16 {
         let most = ((self.side as i32) << BITS) - 1;
@@ -249,7 +249,7 @@ impl CubeBackdrop {
     fn place(&self, direction: &Vector3<f64>) -> CubePlace {
         let [x, y, z] = [direction.x, direction.y, direction.z];
         let [wide, deep, high] = [x.abs(), y.abs(), z.abs()];
-        // The same axes as in `direction`.
+        // Axes as in `direction`.
         let (face, along, [u, v]) = if wide >= deep && wide >= high {
             (usize::from(x < 0.0), wide, [y, z])
         } else if deep >= high {
@@ -266,7 +266,7 @@ fn fixed(texels: f32) -> i32 {
     (texels * (1 << BITS) as f32) as i32
 }
 
-/// The direction of a place on a face, each coordinate -1 to 1; not of length 1.
+/// Direction of a position on a face, coordinates -1 to 1; not normalized.
 fn direction(face: usize, [u, v]: [f64; 2]) -> Vector3<f64> {
     let along = if face.is_multiple_of(2) { 1.0 } else { -1.0 };
     match face / 2 {
@@ -276,7 +276,7 @@ fn direction(face: usize, [u, v]: [f64; 2]) -> Vector3<f64> {
     }
 }
 
-/// The direction of a pixel of the sphere image, which may lie beyond its last row or column.
+/// Direction of a pixel of the equirectangular image, also beyond its last row or column.
 fn ray(grid: &SphereGrid, row: usize, column: usize) -> Vector3<f64> {
     let longitude = (0.5 - (column as f64 + 0.5) / grid.width as f64) * TAU;
     let latitude = (0.5 - (row as f64 + 0.5) / grid.height as f64) * TAU / 2.0;

@@ -1,42 +1,42 @@
-//! How many pixels an image has for a direction's surroundings.
+//! Pixel density of an image: pixels per radian near a direction.
 
 use nalgebra::{Matrix2x3, Rotation3, Vector3};
 
 use crate::moment::Placement;
 
-/// Pixels for small changes of direction, round one direction.
+/// Pixels per small change of direction, near one direction.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum Density {
-    /// Alike whichever way the direction changes: pixels for each radian.
+    /// Isotropic density, pixels per radian.
     Even(f64),
-    /// Columns and rows for a small change of a unit vector in the camera frame.
+    /// Jacobian of columns and rows by a unit vector in the camera frame.
     Local(Matrix2x3<f64>),
 }
 
-/// A body in the part of the image that one eye takes.
+/// A body in the image part of one eye.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct BodySight {
-    /// Where the eye sees it.
+    /// Placement of the body relative to the eye.
     pub placement: Placement,
-    /// How many pixels the image has there.
+    /// Pixel density of the image there.
     pub density: Density,
 }
 
-/// An upper triangle: pixels along and across the first of two perpendicular small turns. What
-/// lies (x, y) radians off the middle lies (x `along` + y `shear`, y `across`) off it in an image
-/// that is turned so that the first axis is its row.
+/// Upper triangular matrix from two perpendicular small angles to pixels. An offset of (x, y)
+/// radians is (x `along` + y `shear`, y `across`) pixels. The rows of that image are along the
+/// first axis.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Stretch {
-    /// Pixels for each radian along the first axis.
+    /// Pixels per radian along the first axis.
     pub along: f64,
-    /// Pixels along the row for each radian along the second axis.
+    /// Pixels along the row per radian along the second axis.
     pub shear: f64,
-    /// Pixels across the row for each radian along the second axis.
+    /// Pixels across the row per radian along the second axis.
     pub across: f64,
 }
 
 impl Density {
-    /// The stretch of two perpendicular unit vectors that are tangents where it was measured.
+    /// The stretch for two perpendicular unit tangents at the direction of the density.
     pub(crate) fn stretch(&self, axes: [Vector3<f64>; 2]) -> Stretch {
         match self {
             &Self::Even(focal) => Stretch { along: focal, shear: 0.0, across: focal },
@@ -46,15 +46,14 @@ impl Density {
                 Stretch {
                     along,
                     shear: first.dot(&second) / along,
-                    // An image that is turned over blurs alike.
+                    // The sign is dropped: a mirrored image has the same blur.
                     across: first.perp(&second).abs() / along,
                 }
             }
         }
     }
 
-    /// The density for changes round `direction`, if it is alike to what was measured round
-    /// `measured` once that is turned there.
+    /// The density near `direction`: the density near `measured`, rotated to it.
     pub(crate) fn moved(&self, direction: &Vector3<f64>, measured: &Vector3<f64>) -> Self {
         match self {
             Self::Even(focal) => Self::Even(*focal),
@@ -65,7 +64,7 @@ impl Density {
         }
     }
 
-    /// Length of a body's motion while the shutter is open, pixels.
+    /// Length of a body's motion during the exposure, pixels.
     pub(crate) fn motion_px(&self, placement: &Placement, exposure_s: f64) -> f64 {
         match self {
             Self::Even(focal) => placement.angular_speed() * exposure_s * focal,
@@ -78,7 +77,7 @@ impl Density {
         }
     }
 
-    /// Pixels for each radian, as the root of the pixels for each steradian.
+    /// Pixels per radian: square root of the pixels per steradian.
     pub(crate) fn pixels_per_radian(&self) -> f64 {
         match self {
             Self::Even(focal) => *focal,
@@ -91,7 +90,7 @@ impl Density {
 }
 
 impl Stretch {
-    /// A density that is `scale` times as fine.
+    /// The stretch multiplied by `scale`.
     pub(crate) fn scaled(&self, scale: f64) -> Self {
         Self { along: self.along * scale, shear: self.shear * scale, across: self.across * scale }
     }

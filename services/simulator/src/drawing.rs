@@ -1,7 +1,8 @@
-//! A drone drawn sharp on a plane that touches the sphere, blurred there, and laid on the image.
+//! Drawing of a drone on a tangent plane of the sphere: rasterized, blurred there, and composited
+//! on the image.
 //!
-//! The plane is stretched as the image is round the drone, so that blur is alike in all directions
-//! of the image. All is seen from one eye, along the camera's axes.
+//! The plane has the local scale of the image, so that blur is isotropic in the image. The
+//! viewpoint is one eye, along the camera's axes.
 
 use std::f64::consts::PI;
 use std::ops::Range;
@@ -19,36 +20,36 @@ use crate::sphere::SphereGrid;
 use crate::sun::Sunlight;
 use crate::tiles::RayRow;
 
-/// Variance that the drawing adds by itself, square samples: areas of one sample (1/12), and
-/// linear interpolation between samples (1/6 on average).
+/// Variance of the drawing's own blur, square samples: box of one sample (1/12), and linear
+/// interpolation (1/6 on average).
 const OWN_VARIANCE: f64 = 1.0 / 12.0 + 1.0 / 6.0;
-/// Cover below which a pixel is left alone: a hundredth of a grey level.
+/// Coverage below which a pixel stays unchanged: a hundredth of a grey level.
 const FAINT: f32 = 1e-4;
 
-/// The drawing of one drone in one frame. Its buffers are kept from frame to frame.
+/// The drawing of one drone in one frame. Its buffers are reused in later frames.
 #[derive(Debug, Default)]
 pub(crate) struct DroneDrawing {
     accumulator: Accumulator,
     width: usize,
     height: usize,
-    /// (light, cover) as drawn, and then as blurred both ways.
+    /// Samples (light, coverage): first as rasterized, then blurred along both axes.
     samples: Vec<f32>,
-    /// Blurred along the rows.
+    /// Samples blurred along the rows.
     half_blurred: Vec<f32>,
-    /// Columns in which something may be drawn, for each row: the rest is empty, and stays so.
+    /// Columns that may have content, for each row: all others are empty.
     extents: Vec<Range<usize>>,
-    /// Rows: where a ray in the camera frame meets the plane, in samples, before dividing.
+    /// Homography from a ray in the camera frame to samples of the plane.
     samples_from_camera: Matrix3<f32>,
-    /// Towards the body: the circle's middle.
+    /// Direction to the body: centre of the bounding circle.
     centre: Vector3<f64>,
     longitude: f64,
     latitude: f64,
-    /// Radius of the circle round the drawing, radians.
+    /// Radius of the bounding circle, radians.
     radius: f64,
 }
 
-/// Light that falls on a surface with this normal in the world, as a share of full scale for a
-/// white one: lamps above, a little to one side, and the light of the walls.
+/// Illumination of a surface with this normal in the world, as a share of full scale for white.
+/// Sources: lamps above, a window at one side, and the walls.
 fn illumination(normal_in_world: &Vector3<f64>) -> f64 {
     let lamps = Vector3::new(0.26, 0.17, 0.95);
     let window = Vector3::new(0.0, 1.0, 0.0);
@@ -57,10 +58,11 @@ fn illumination(normal_in_world: &Vector3<f64>) -> f64 {
 }
 
 impl DroneDrawing {
-    /// Draws `drone` where an eye sees it, in an image of `pixels` there. `world_from_eye` is the
-    /// eye's place in the world, and the turn of the camera's axes.
+    /// Draws `drone` as seen by an eye, for an image with the density `pixels` there.
+    /// `world_from_eye` has the eye's position and the camera's axes.
     ///
-    /// The drone must be at least 1.2 of its radius away, so that all of it is before the plane.
+    /// The distance must be at least 1.2 radii of the drone, so that all points project on the
+    /// plane.
     pub(crate) fn draw(
         &mut self,
         drone: &DroneShape,
@@ -91,22 +93,22 @@ impl DroneDrawing {
         let eye = pose.inverse_transform_point(&Point3::origin());
         let parts = drone.back_to_front(&eye);
         let mut stretch = pixels.stretch([axes[0], axes[1]]).scaled(samples_per_px);
-        // No drawing needs more: the image has no more pixels.
+        // Limit of the resolution: the image has no more pixels.
         let widest = samples_per_px * f64::from(camera.width().max(camera.height()));
         let [low, high] = bounds(&parts, &stretch);
         let side = (high - low).max();
         if side > widest {
-            // Towards the rim of a very wide plane a body's surroundings grow without end.
+            // Near the rim of a very wide plane the scale would grow without limit.
             stretch = stretch.scaled(widest / side);
         }
 
-        // The first axis lies along the motion, so that motion blur is one with the rows' blur.
-        // Positive: the parameters ask for a blur of 0.3 pixels, 0.6 samples, or more.
+        // The first axis is along the motion, so that motion blur is part of the rows' blur. The
+        // root is real: the minimum blur is 0.3 pixels, or 0.6 samples.
         let sigma = ((samples_per_px * lens_blur_px).powi(2) - OWN_VARIANCE).sqrt();
         let motion = placement.angular_speed() * exposure_s * stretch.along;
         let along = blur_kernel(sigma, motion);
         let across = blur_kernel(sigma, 0.0);
-        // Twice the reach along the rows: what is blurred there is blurred from as far again.
+        // Twice the reach along the rows: samples within the reach have their own neighbours.
         let margin = Point2::new(2.0 * along.len() as f64 + 1.0, across.len() as f64 + 1.0);
         let [low, high] = bounds(&parts, &stretch);
         let origin = (low - margin.coords).map(f64::floor);
@@ -169,7 +171,7 @@ impl DroneDrawing {
             if extent.start == extent.end {
                 continue;
             }
-            // The margins of the drawing are wider than the reach.
+            // No underflow: the margins of the drawing are wider than the reach.
             *extent = extent.start - reach..extent.end + reach;
             let padded = extent.start - reach..extent.end + reach;
             let values = |columns: &Range<usize>| {
@@ -189,18 +191,18 @@ impl DroneDrawing {
         }
     }
 
-    /// Rows of the sphere image that it may touch.
+    /// Rows of the equirectangular image that the drawing may change.
     pub(crate) fn rows(&self, grid: &SphereGrid) -> Range<usize> {
         grid.rows_of_circle(self.latitude, self.radius)
     }
 
-    /// Whether it may touch anything in the circle of `radius` radians round `axis`.
+    /// Whether the drawing may change pixels in the circle of `radius` radians round `axis`.
     pub(crate) fn touches(&self, axis: &Vector3<f64>, radius: f64) -> bool {
         let apart = self.radius + radius;
         apart >= PI || axis.dot(&self.centre) >= apart.cos()
     }
 
-    /// Lays the drawing over pixels that look along `rays`, and over their noise.
+    /// Composites the drawing over pixels with these rays, and updates their noise.
     pub(crate) fn draw_rays(
         &self,
         [rays_x, rays_y, rays_z]: &RayRow,
@@ -214,7 +216,7 @@ impl DroneDrawing {
         for (((x, y), z), (level, sigma)) in rays.zip(pixels) {
             let along = |k: usize| m[(k, 0)] * x + m[(k, 1)] * y + m[(k, 2)] * z;
             let depth = along(2);
-            // Pixels that see nothing have no ray, and no depth.
+            // Pixels without a ray have depth 0.
             if depth <= 0.0 {
                 continue;
             }
@@ -223,7 +225,7 @@ impl DroneDrawing {
         }
     }
 
-    /// Lays the drawing over a row of levels and their noise, within `columns`.
+    /// Composites the drawing over a row of levels and their noise, within `columns`.
     pub(crate) fn draw_row(
         &self,
         row: usize,
@@ -257,7 +259,7 @@ impl DroneDrawing {
         }
     }
 
-    /// Lays one of its points over a pixel.
+    /// Composites one point of the drawing over a pixel.
     #[inline]
     fn blend(&self, [x, y]: [f32; 2], sensor: &ImageSensor, level: &mut u8, sigma: &mut u8) {
         if let Some([light, cover]) = self.sample(x, y) {
@@ -266,10 +268,10 @@ impl DroneDrawing {
         }
     }
 
-    /// Light and cover at a point, interpolated; `None` where there is nothing.
+    /// Light and coverage at a point, interpolated; `None` where the drawing is empty.
     #[inline]
     fn sample(&self, x: f32, y: f32) -> Option<[f32; 2]> {
-        // Sample (i, j) stands for the middle of its square.
+        // Sample (i, j) is at the centre of its square.
         let (x, y) = (x - 0.5, y - 0.5);
         if !(x >= 0.0 && y >= 0.0) {
             return None;
@@ -292,8 +294,8 @@ impl DroneDrawing {
     }
 }
 
-/// Adds a face that has `full` light, with what is printed on it. `place` puts its corners on the
-/// drawing.
+/// Adds a face and its print. `full` is the illumination of the face; `place` maps points to
+/// samples of the drawing.
 fn add_face(
     accumulator: &mut Accumulator,
     painted: &PaintedFace,
@@ -318,7 +320,7 @@ fn add_face(
     }
 }
 
-/// The smallest range that covers both; an empty one adds nothing.
+/// The smallest range that contains both; empty ranges are ignored.
 fn joined(one: &Range<usize>, other: &Range<usize>) -> Range<usize> {
     match (one.is_empty(), other.is_empty()) {
         (true, _) => other.clone(),
@@ -327,7 +329,7 @@ fn joined(one: &Range<usize>, other: &Range<usize>) -> Range<usize> {
     }
 }
 
-/// Axes of the drawing in the camera frame: x along the apparent motion, y, and z towards the body.
+/// Axes of the drawing in the camera frame: x along the apparent motion, z towards the body.
 fn drawing_axes(placement: &Placement) -> [Vector3<f64>; 3] {
     let towards = placement.camera_from_markers.translation.vector.normalize();
     let velocity = placement.velocity_in_camera;
@@ -335,7 +337,7 @@ fn drawing_axes(placement: &Placement) -> [Vector3<f64>; 3] {
     let along = if sideways.norm() > 1e-9 {
         sideways.normalize()
     } else {
-        // Any direction does: the axis that is farthest from the line of sight makes a good one.
+        // Without motion any direction is valid: the axis farthest from the line of sight is used.
         let axis = Vector3::ith(towards.iamin(), 1.0);
         towards.cross(&axis).normalize()
     };

@@ -1,4 +1,4 @@
-//! What flies: a marker body, as it is printed, on top of its drone.
+//! Shapes of the flying bodies: a printed marker body on top of its drone.
 
 use flockeye_dictionary::Dictionary;
 use flockeye_geometry::body::solid::{FLATNESS_M, Face, Solid};
@@ -7,24 +7,24 @@ use nalgebra::{Point3, Vector3};
 
 use crate::WorldError;
 
-/// Reflectance of white print, of facets without marker, of black ink, and of the airframe.
+/// Reflectance of white print, of blank facets, of black ink, and of the airframe.
 const WHITE: f64 = 0.85;
 const BLANK: f64 = 0.66;
 const BLACK: f64 = 0.035;
 const CARBON: f64 = 0.05;
-/// Share of the light that a spinning propeller takes.
+/// Share of the light that a spinning propeller blocks.
 const PROPELLER_OPACITY: f32 = 0.16;
-/// Thickness that a flat body is given behind its markers, metres.
+/// Thickness of a flat body behind its markers, metres.
 const PLATE_M: f64 = 0.003;
 
-/// A flat side with everything printed on it.
+/// A flat side of a body and its print.
 #[derive(Debug, Clone)]
 pub(crate) struct PaintedFace {
     /// The flat side.
     pub face: Face,
     pub reflectance: f64,
-    /// Polygons printed on it, in the markers' frame, metres, and by how much each changes the
-    /// reflectance of what is beneath.
+    /// Printed polygons in the markers' frame, metres. Each has a change: added to the reflectance
+    /// below.
     pub print: Vec<(Vec<Point3<f64>>, f64)>,
 }
 
@@ -32,7 +32,7 @@ pub(crate) struct PaintedFace {
 pub(crate) struct DronePart {
     pub solid: Solid,
     pub faces: Vec<PaintedFace>,
-    /// How much of what lies behind it hides: 1 but for propellers.
+    /// Share of the light from behind that it blocks: 1 for all parts except propellers.
     pub opacity: f32,
 }
 
@@ -44,7 +44,7 @@ pub(crate) struct DroneShape {
     pub markers: Vec<Marker>,
     /// The marker body first, then the airframe.
     pub parts: Vec<DronePart>,
-    /// Radius of the sphere round the origin with all of it inside, metres.
+    /// Radius of the bounding sphere round the origin, metres.
     pub radius: f64,
 }
 
@@ -55,8 +55,8 @@ impl PaintedFace {
 }
 
 impl DroneShape {
-    /// Builds the drone of `body`: the convex hull of its facets and, if wanted, an airframe below
-    /// it, in proportion.
+    /// Builds the drone of `body`: the convex hull of its facets, and an optional airframe of
+    /// proportional size below it.
     ///
     /// # Errors
     /// A marker that the dictionary does not have; a body that is not convex.
@@ -90,12 +90,12 @@ impl DroneShape {
         Ok(Self { name: body.name.clone(), markers: body.markers.clone(), parts, radius })
     }
 
-    /// Whether something opaque of this drone hides `point` from `eye`, both in its markers' frame.
+    /// Whether an opaque part of this drone hides `point` from `eye`, both in the markers' frame.
     pub(crate) fn hides(&self, eye: &Point3<f64>, point: &Point3<f64>) -> bool {
         self.parts.iter().any(|part| part.opacity >= 1.0 && part.solid.hides(eye, point))
     }
 
-    /// Its parts as seen from `eye`, in the markers' frame, farthest first.
+    /// The parts in the order of distance from `eye`, in the markers' frame, farthest first.
     pub(crate) fn back_to_front(&self, eye: &Point3<f64>) -> Vec<&DronePart> {
         let mut left: Vec<&DronePart> = self.parts.iter().collect();
         let mut order = Vec::with_capacity(left.len());
@@ -105,7 +105,7 @@ impl DroneShape {
                     !std::ptr::eq(*other, part) && part.solid.is_before(&other.solid, eye)
                 })
             };
-            // In a ring of parts, which boxes this simple never form, any is as good as another.
+            // In a ring of parts, any part may be first. Simple boxes never form a ring.
             let next = left.iter().position(|part| !hides_another(part)).unwrap_or(0);
             order.push(left.swap_remove(next));
         }
@@ -129,7 +129,7 @@ fn body_solid(body: &Body) -> Result<Solid, WorldError> {
     }
     let sunken = body.facets().iter().find(|facet| {
         let height = |p: &Point3<f64>| facet.normal.dot(&(p - facet.outline[0]));
-        // Five times: a facet is wider than the square that its plane was measured on.
+        // Factor 5: a facet is wider than the square from which its plane was computed.
         solid.corners.iter().any(|p| height(p) > 5.0 * FLATNESS_M)
     });
     sunken.map_or(Ok(solid), |facet| Err(not_convex(body, facet)))
@@ -159,7 +159,7 @@ fn print_marker(
     let at = |row: usize, column: usize| origin + right * column as f64 + down * row as f64;
     let is_white = |row: usize, column: usize| pattern.is_white(row as isize, column as isize);
     for row in 0..cells {
-        // White cells side by side are one rectangle.
+        // Adjacent white cells are drawn as one rectangle.
         let mut start = 0;
         while start < cells {
             let end = (start..cells).find(|&column| !is_white(row, column)).unwrap_or(cells);
@@ -175,9 +175,9 @@ fn print_marker(
 }
 
 /// A quadcopter below a body whose lowest point is at height `low`; sizes follow the body's
-/// `radius`. All parts are boxes along the axes that share no inside, so that planes part them.
+/// `radius`. All parts are axis-aligned boxes that do not overlap, so a plane separates any two.
 fn airframe_parts(low: f64, radius: f64) -> Vec<DronePart> {
-    // Drawn for a body of 87 mm.
+    // The sizes below belong to a body of 87 mm radius.
     let scale = radius / 0.087;
     let box_at = |x: [f64; 2], y: [f64; 2], z: [f64; 2], opacity: f32| {
         let corner = |k: usize| [x[k] * scale, y[k] * scale, low + z[k] * scale];
@@ -214,7 +214,7 @@ fn propeller(centre: [f64; 3], scale: f64) -> DronePart {
     };
     let solid =
         Solid::hull(ring(0.0).chain(ring(0.003 * scale)).collect(), &[Vector3::z(), -Vector3::z()]);
-    // Only the discs are drawn: the rim is thin air.
+    // Only the two discs are drawn, not the rim.
     let faces = solid
         .faces
         .iter()

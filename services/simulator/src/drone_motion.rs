@@ -1,5 +1,5 @@
-//! How the observer moves, with its camera: what its picture shows and its inertial sensor
-//! measures. In a swarm the others move in the same way.
+//! Motion of the observer and its camera, from which pictures and inertial samples follow. The
+//! other drones of a swarm move in the same way.
 
 use std::f64::consts::TAU;
 
@@ -10,21 +10,22 @@ use crate::moment::Attitude;
 use crate::parameters::WorldParameters;
 use crate::wander::Wander;
 
-/// Step of the differences that give velocities, seconds.
+/// Step of the finite differences for velocities, seconds.
 pub(crate) const STEP_S: f64 = 1e-4;
-/// Step of the differences that give accelerations, seconds: wider, because they are taken twice.
+/// Step of the finite differences for accelerations, seconds: wider, because they are second
+/// differences.
 const WIDE_STEP_S: f64 = 1e-3;
 
-/// A drone's way through the world.
+/// Path of a drone through the world.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct DroneMotion {
     /// Yaw at time 0, radians, and the rate of the steady yaw, rad/s.
     yaw: [f64; 2],
-    /// Path of the drone without gusts; `None`: it stays at the world's origin.
+    /// Path of the drone without gusts; `None`: the drone stays at the world's origin.
     wander: Option<Wander>,
     /// `None` in calm air.
     gusts: Option<Gusts>,
-    /// Where the camera sits on it; it is not turned.
+    /// Position of the camera on the drone; the camera has the drone's orientation.
     drone_from_camera: Translation3<f64>,
 }
 
@@ -37,7 +38,8 @@ impl DroneMotion {
         Self { drone_from_camera: camera.unwrap_or_else(Translation3::identity), ..motion }
     }
 
-    /// The motion of a drone of a swarm, by its number. Alone, the observer is number 0.
+    /// The motion of the drone with this number in a swarm. An observer without a swarm has number
+    /// 0.
     pub(crate) fn of_drone(parameters: &WorldParameters, drone: u32) -> Self {
         let [tilt, swing] = [parameters.tilt_deg, parameters.yaw_swing_deg_s].map(f64::to_radians);
         let gusts = (!parameters.is_calm())
@@ -70,7 +72,7 @@ impl DroneMotion {
         self.world_from_drone(time_s) * self.drone_from_camera
     }
 
-    /// How the camera is turned at a time, and how it turns.
+    /// Orientation and angular velocity of the camera at a time.
     pub(crate) fn attitude(&self, time_s: f64) -> Attitude {
         if self.gusts.is_none() {
             let level = Attitude::level(wrapped(self.yaw[0] + self.yaw[1] * time_s));
@@ -84,8 +86,7 @@ impl DroneMotion {
         }
     }
 
-    /// What an accelerometer in the camera measures, along its axes, m/s^2: acceleration less
-    /// gravity.
+    /// Specific force in the camera, along its axes, m/s^2: acceleration minus gravity.
     pub(crate) fn specific_force(&self, time_s: f64) -> Vector3<f64> {
         let at = |time_s: f64| self.world_from_camera(time_s);
         let position = |time_s: f64| at(time_s).translation.vector;
@@ -96,7 +97,7 @@ impl DroneMotion {
     }
 }
 
-/// An angle as -pi to pi.
+/// The angle in the range -pi to pi.
 fn wrapped(angle: f64) -> f64 {
     angle - (angle / TAU).round() * TAU
 }

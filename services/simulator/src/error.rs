@@ -1,10 +1,10 @@
-//! What keeps a world from being made, or a frame from being rendered.
+//! Errors of a world, and of the rendering of a frame.
 
-/// Why a world cannot be made.
+/// An error in the definition of a world.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[expect(missing_docs, reason = "the texts name the fields")]
 pub enum WorldError {
-    /// Values out of their range, all of them.
+    /// Values out of range; the texts name all of them.
     #[error("{}", .0.join("; "))]
     Parameters(Vec<String>),
     /// A marker that the dictionary does not have.
@@ -13,7 +13,7 @@ pub enum WorldError {
          another id, or a larger dictionary"
     )]
     UnknownMarker { body: String, id: u32, dictionary: String, last: usize },
-    /// Another dictionary than the bodies'.
+    /// A dictionary that is not the bodies' dictionary.
     #[error("the bodies' markers are from {bodies}, not from {given}; load {bodies}")]
     Dictionary { bodies: String, given: String },
     /// A body whose facets are not all on the surface of their hull.
@@ -22,12 +22,12 @@ pub enum WorldError {
         described(.body, .marker)
     )]
     NotConvex { body: String, marker: Option<u32> },
-    /// A distance range that begins inside of a drone.
+    /// A distance range that starts inside a drone.
     #[error(
         "body '{body}' comes as near as {near} m, and must stay {least:.2} m away; raise distance_m's first value"
     )]
     TooNear { body: String, near: f64, least: f64 },
-    /// More bodies than can fly without meeting.
+    /// Too many bodies to fly without collisions.
     #[error(
         "{bodies} bodies cannot keep apart between {near} m and {far} m; raise distance_m, or simulate fewer bodies"
     )]
@@ -41,20 +41,20 @@ fn described(body: &str, marker: &Option<u32>) -> String {
     }
 }
 
-/// Why a frame cannot be rendered.
+/// An error in the rendering of a frame.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[expect(missing_docs, reason = "the texts name the fields")]
 pub enum RenderError {
     /// Rows that overlap.
     #[error("a stride of {stride} bytes is shorter than a row of {width} pixels")]
     Stride { stride: usize, width: usize },
-    /// Memory that ends before the picture does.
+    /// Memory that is smaller than the picture.
     #[error("the frame needs {needed} bytes; the memory given has {given}")]
     Memory { needed: usize, given: usize },
-    /// A moment that places another number of bodies than the world has.
+    /// A moment with another number of bodies than the world.
     #[error("the moment places {placed} bodies; the world has {bodies}")]
     Placements { placed: usize, bodies: usize },
-    /// A body too near to be drawn, or at no finite place.
+    /// A body that is too near, or whose position is not finite.
     #[error("body '{body}' is at {distance} m; it can be drawn from {least:.2} m on")]
     TooNear { body: String, distance: f64, least: f64 },
 }

@@ -1,28 +1,28 @@
-//! Where pictures are taken from: the camera's middle, or its lenses' own places.
+//! Viewpoints of a camera: its centre, or the positions of its lenses.
 
 use flockeye_geometry::Ray;
 use flockeye_geometry::camera::{Camera, CameraModel, Lens, SpherePixel};
 use nalgebra::Vector3;
 
-/// A place from which the image, or a part of it, is taken.
+/// A viewpoint of the image or of a part of it.
 ///
-/// Directions are seen from here, along the camera's axes: near things truly shift from one eye to
-/// another.
+/// Directions start at the viewpoint and are along the camera's axes. So near objects have parallax
+/// between eyes.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Eye {
-    /// Where it is in the camera frame, metres.
+    /// Position in the camera frame, metres.
     pub(crate) position_m: Vector3<f64>,
-    /// Which of the image's connected pictures it adds to: the halves of a stitched image make
-    /// one, each image circle is one of its own.
+    /// Index of the connected picture that it contributes to. The halves of a stitched image form
+    /// one picture; each image circle is one.
     pub(crate) picture: usize,
     part: ImagePart,
 }
 
-/// The part of the image that an eye takes.
+/// The part of the image that belongs to an eye.
 #[derive(Debug, Clone, Copy)]
 enum ImagePart {
     Whole(Camera),
-    /// Where a stitched camera looks ahead (x >= 0), or back.
+    /// The front half (x >= 0) or the rear half of a stitched image.
     Half {
         camera: Camera,
         is_ahead: bool,
@@ -31,9 +31,9 @@ enum ImagePart {
 }
 
 impl Eye {
-    /// The eyes of a camera: one, or one for each lens.
+    /// The eyes of a camera: one, or one per lens.
     pub(crate) fn all(camera: &Camera) -> Vec<Self> {
-        // A lens' own directions are those of things infinitely far away.
+        // Directions of a lens alone are those of objects at infinity.
         let camera = camera.at_distance(f64::INFINITY);
         let eye = |position_m, picture, part| Self { position_m, picture, part };
         match *camera.model() {
@@ -57,7 +57,7 @@ impl Eye {
         }
     }
 
-    /// The direction that `pixel` sees; `None` where it is not this eye's.
+    /// The direction of `pixel`; `None` for a pixel of another eye.
     pub(crate) fn ray(&self, pixel: SpherePixel) -> Option<Ray> {
         match &self.part {
             ImagePart::Whole(camera) => camera.ray(pixel),
@@ -71,7 +71,7 @@ impl Eye {
         }
     }
 
-    /// The point that sees `direction`; `None` where this eye does not look.
+    /// The pixel of `direction`; `None` for a direction outside this eye's part.
     pub(crate) fn project(&self, direction: &Vector3<f64>) -> Option<SpherePixel> {
         match &self.part {
             ImagePart::Whole(camera) => camera.project(&Ray::new_normalize(*direction)),

@@ -1,8 +1,8 @@
-//! How a drone leans and sways in gusts.
+//! Lean and sway of a drone in gusts.
 //!
-//! A multirotor keeps its place by leaning against the wind, and never quite succeeds: its thrust
-//! points along gravity, wind and its own acceleration together. So lean and sway belong to each
-//! other: a share of the lean is acceleration, the rest works against the wind.
+//! A multirotor holds its position against wind by leaning, with a residual motion. Its thrust
+//! balances gravity, wind and acceleration. So lean and sway are coupled: a share of the lean
+//! accelerates the drone, the rest balances the wind.
 
 use std::f64::consts::TAU;
 
@@ -16,15 +16,15 @@ use crate::scatter::mix;
 pub(crate) const GRAVITY: f64 = 9.81;
 /// Share of the lean that accelerates the drone.
 const ACCELERATING: f64 = 0.4;
-/// Slowest and fastest swing, Hz: what a small multirotor's position control leaves over.
+/// Lowest and highest frequency, Hz: the residual motion of a small multirotor's position control.
 const SWINGS_HZ: [f64; 2] = [0.45, 0.8];
-/// Shares of the swings in the whole.
+/// Shares of the terms in the amplitude.
 const SHARES: [f64; 3] = [0.5, 0.3, 0.2];
 
-/// A sum of swings of random phase and frequency.
+/// A sum of sines of random phase and frequency.
 #[derive(Debug, Clone, PartialEq)]
 struct Swings {
-    /// Amplitude, radians per second, phase.
+    /// Amplitude, angular frequency (rad/s) and phase of each term.
     terms: [[f64; 3]; 3],
 }
 
@@ -41,14 +41,14 @@ impl Swings {
         self.terms.iter().map(|[size, fast, phase]| size * (fast * time_s + phase).sin()).sum()
     }
 
-    /// What has this as its second derivative, and swings about 0.
+    /// Second antiderivative, with mean 0.
     fn twice_integrated(&self, time_s: f64) -> f64 {
         let term =
             |[size, fast, phase]: &[f64; 3]| -size / (fast * fast) * (fast * time_s + phase).sin();
         self.terms.iter().map(term).sum()
     }
 
-    /// What has this as its derivative, less its value at time 0.
+    /// Integral from time 0.
     fn integrated(&self, time_s: f64) -> f64 {
         let term = |[size, fast, phase]: &[f64; 3]| {
             size / fast * (phase.cos() - (fast * time_s + phase).cos())
@@ -59,18 +59,18 @@ impl Swings {
 
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Gusts {
-    /// Lean along the world's x and y: horizontal thrust over vertical.
+    /// Lean along the world's x and y: ratio of horizontal to vertical thrust.
     lean: [Swings; 2],
-    /// Rate of the yaw, rad/s.
+    /// Yaw rate, rad/s.
     yaw_rate: Swings,
 }
 
 impl Gusts {
-    /// Gusts that make a drone lean by `tilt_rad` at most, and yaw by up to `yaw_rad_s` more or
-    /// less than it would. `drone` tells those of one world apart.
+    /// Gusts with a lean up to `tilt_rad` and a change of the yaw rate up to `yaw_rad_s`. `drone`
+    /// selects different random numbers in one world.
     pub(crate) fn draw(seed: u64, drone: u64, tilt_rad: f64, yaw_rad_s: f64) -> Self {
         let mut random = StdRng::seed_from_u64(mix(seed ^ mix(drone ^ 0x6775_7374)));
-        // Both axes at their ends at once make the whole.
+        // The maximum is reached with both axes at their amplitudes.
         let lean = tilt_rad.tan() / 2f64.sqrt();
         Self {
             lean: [Swings::draw(&mut random, lean), Swings::draw(&mut random, lean)],
@@ -78,13 +78,12 @@ impl Gusts {
         }
     }
 
-    /// How far gusts that make it lean by `tilt_rad` bring a drone from its place at most, metres.
+    /// Maximum displacement of a drone by gusts with a lean of `tilt_rad`, metres.
     pub(crate) fn reach_m(tilt_rad: f64) -> f64 {
         ACCELERATING * GRAVITY * tilt_rad.tan() / (TAU * SWINGS_HZ[0]).powi(2)
     }
 
-    /// Where the gusts bring a drone that would be level at the origin: offset and lean in the
-    /// world.
+    /// Offset and lean in the world of a drone that would be level at the origin without gusts.
     pub(crate) fn sway(&self, time_s: f64) -> Isometry3<f64> {
         let [x, y] = &self.lean;
         let thrust = Unit::new_normalize(Vector3::new(x.value(time_s), y.value(time_s), 1.0));
@@ -92,12 +91,12 @@ impl Gusts {
         let offset = |lean: &Swings| ACCELERATING * GRAVITY * lean.twice_integrated(time_s);
         Isometry3::from_parts(
             Translation3::new(offset(x), offset(y), 0.0),
-            // Opposite only to a drone that flies upside down.
+            // `None` only for opposite directions: a drone upside down.
             lean.unwrap_or_else(UnitQuaternion::identity),
         )
     }
 
-    /// Yaw that the gusts add since time 0, radians.
+    /// Yaw added by the gusts since time 0, radians.
     pub(crate) fn yaw(&self, time_s: f64) -> f64 {
         self.yaw_rate.integrated(time_s)
     }

@@ -1,11 +1,11 @@
-//! What surrounds the observer: a flight hall, with much in it that looks like a marker from afar.
+//! The observer's surroundings: a flight hall with many objects that resemble distant markers.
 
 use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
 
 use crate::scatter::{at_cell, clouds, floor, mix};
 
-/// Walls, floor and ceiling, metres from the camera.
+/// Distances of walls, floor and ceiling from the camera, metres.
 const HALF_LENGTH: f32 = 7.5;
 const HALF_WIDTH: f32 = 4.6;
 const FLOOR: f32 = -1.4;
@@ -23,24 +23,24 @@ struct Crate {
 #[derive(Debug)]
 struct Poster {
     wall: usize,
-    /// Middle, along the wall and in height, and half the side, metres.
+    /// Centre (along the wall, height), metres; `half`: half the side, metres.
     middle: [f32; 2],
     half: f32,
     cells: f32,
     seed: u64,
 }
 
-/// The hall, a function of direction.
+/// The hall: light as a function of direction.
 #[derive(Debug)]
 pub(crate) struct Hall {
     seed: u64,
     crates: Vec<Crate>,
-    /// Numbers of the boxes that may be met in each of [`SECTORS`].
+    /// Indices of the boxes that may be hit in each of [`SECTORS`].
     in_sector: Vec<Vec<usize>>,
     posters: Vec<Poster>,
 }
 
-/// Parts of a turn about the vertical, for which the boxes there are known.
+/// Number of sectors round the vertical, each with a list of its boxes.
 const SECTORS: usize = 256;
 
 impl Hall {
@@ -67,8 +67,8 @@ impl Hall {
         Self { seed, crates, in_sector, posters }
     }
 
-    /// Linear light that comes from `ray` (a unit vector; x along the hall, z up), as a share of
-    /// full scale. Lamps and windows are brighter than 1.
+    /// Linear light from the direction `ray` (unit vector; x along the hall, z up), as a share of
+    /// full scale. Lamps and windows exceed 1.
     pub(crate) fn light(&self, ray: [f32; 3]) -> f32 {
         let to_plane = |from: f32, along: f32| from / if along == 0.0 { 1e-9 } else { along };
         let [x, y, z] = ray;
@@ -166,9 +166,9 @@ impl Hall {
         })
     }
 
-    /// Light of the nearest box before `limit` metres, if the ray meets one.
+    /// Light of the nearest box within `limit` metres, if the ray hits one.
     fn crate_light(&self, ray: [f32; 3], limit: f32) -> Option<f32> {
-        // None of them reaches higher than the camera.
+        // No box is higher than the camera.
         if ray[2] > 0.0 {
             return None;
         }
@@ -197,17 +197,17 @@ impl Hall {
     }
 }
 
-/// What is left of a number beyond the whole number below it.
+/// Fractional part: the number minus its floor.
 fn fraction(value: f32) -> f32 {
     value - floor(value)
 }
 
-/// How far a number lies beyond the nearest whole number.
+/// Signed difference to the nearest whole number.
 fn from_nearest(value: f32) -> f32 {
     value - floor(value + 0.5)
 }
 
-/// A box somewhere along the walls, none within 3 m of the camera.
+/// A random box along the walls, at least 3 m from the camera.
 fn draw_crate(random: &mut StdRng) -> Crate {
     let along_side = random.random_bool(0.6);
     let sign = if random.random_bool(0.5) { 1.0 } else { -1.0 };
@@ -226,31 +226,30 @@ fn draw_crate(random: &mut StdRng) -> Crate {
 }
 
 impl Crate {
-    /// Whether a part of it lies in a sector. The sectors of its corners bound it, because it is
-    /// convex, and less than half a turn wide.
+    /// Whether a part of the box is in a sector. The sectors of its corners bound it, because it is
+    /// convex and less than 180 degrees wide.
     fn lies_in(&self, sector: usize) -> bool {
         let corner = |k: usize| {
             let [x, y] = [[self.low[0], self.high[0]][k & 1], [self.low[1], self.high[1]][k >> 1]];
             sector_of(x, y)
         };
         let first = corner(0);
-        // Counted from a corner, as a signed number of sectors, because the first may lie beyond
-        // the last.
+        // Signed number of sectors from a corner, because the range may wrap round.
         let from_first = |sector: usize| {
             let ahead = (sector + SECTORS - first) % SECTORS;
             if ahead < SECTORS / 2 { ahead as i32 } else { ahead as i32 - SECTORS as i32 }
         };
         let corners = [0, 1, 2, 3].map(|k| from_first(corner(k)));
         let reach = corners.iter().fold([0, 0], |[low, high], &at| [low.min(at), high.max(at)]);
-        // A further one on each side covers rounding.
+        // One more sector on each side allows for rounding.
         (reach[0] - 1..=reach[1] + 1).contains(&from_first(sector))
     }
 }
 
-/// The sector of a direction from above. Sectors are not alike wide: no angle is needed to find
-/// one.
+/// The sector of a horizontal direction. Sectors differ in width, so that no angle must be
+/// computed.
 fn sector_of(x: f32, y: f32) -> usize {
-    // Rises from 0 to 4 over a turn: the way along a square round the origin.
+    // Rises from 0 to 4 over a turn: position along a square round the origin.
     let share = y / (x.abs() + y.abs()).max(f32::MIN_POSITIVE);
     let way = if x < 0.0 {
         2.0 - share

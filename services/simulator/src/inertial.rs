@@ -1,5 +1,5 @@
-//! The observer's inertial sensor: samples with bias and noise, in a mounting and on a clock of its
-//! own.
+//! The observer's inertial sensor: samples with bias, noise, a mounting rotation and a clock
+//! offset.
 
 use flockeye_config::SimulatedInertial;
 use flockeye_contract::ImuSample;
@@ -12,27 +12,28 @@ use rand_distr::StandardNormal;
 use crate::drone_motion::DroneMotion;
 use crate::scatter::mix;
 
-/// Time before the first frame at which the sensor has begun, seconds.
+/// Start of the sensor before the first frame, seconds.
 const BEFORE_S: f64 = 0.5;
 
-/// Noise of the specific force beside that of the rate: m/s^2 for each degree a second. Both of
-/// usual sensors are of this order (0.1 degrees/s and 0.03 m/s^2 at 200 Hz).
+/// Ratio of the noise of the specific force to that of the rate, m/s^2 per degree/s. Typical
+/// sensors: 0.03 m/s^2 and 0.1 degrees/s at 200 Hz.
 const FORCE_NOISE: f64 = 0.3;
 
-/// The sensor, between its samples.
+/// State of the sensor between samples.
 #[derive(Debug, Clone)]
 pub(crate) struct InertialSensor {
     motion: DroneMotion,
     settings: SimulatedInertial,
     sensor_from_camera: UnitQuaternion<f64>,
-    /// Along the sensor's axes, rad/s.
+    /// Bias of the rate along the sensor's axes, rad/s.
     bias: Vector3<f64>,
     seed: u64,
     next: u64,
 }
 
 impl InertialSensor {
-    /// A sensor on a camera that moves so; `seed` chooses the signs of its bias, and its noise.
+    /// A sensor on a camera with this motion; `seed` determines the signs of the bias, and the
+    /// noise.
     pub(crate) fn new(motion: DroneMotion, settings: &SimulatedInertial, seed: u64) -> Self {
         let signs = mix(seed ^ 0x696d_7562);
         let sign = |k: usize| if signs >> k & 1 == 1 { 1.0 } else { -1.0 };
@@ -46,14 +47,14 @@ impl InertialSensor {
         }
     }
 
-    /// Leaves out what is taken long before a time, seconds since the middle of frame 0's exposure:
-    /// who joins a flight has not seen it.
+    /// Skips samples more than [`BEFORE_S`] before a time, seconds since the middle of frame 0's
+    /// exposure. A process that joins a flight starts here.
     pub(crate) fn join(&mut self, time_s: f64) {
         self.next = self.next.max((time_s * self.settings.rate_hz).max(0.0) as u64);
     }
 
-    /// The samples that are taken from the last call until a time, seconds since the middle of
-    /// frame 0's exposure. `zero_ns` is that time on the frames' clock.
+    /// The samples from the last call until a time, seconds since the middle of frame 0's exposure.
+    /// `zero_ns` is time 0 on the frames' clock.
     pub(crate) fn until(&mut self, time_s: f64, zero_ns: i64) -> Vec<ImuSample> {
         let mut samples = Vec::new();
         loop {

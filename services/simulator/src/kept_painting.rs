@@ -1,4 +1,4 @@
-//! A painted hall that a simulator's process leaves to the next one, which then need not paint it.
+//! The painted hall as a file, so that the next simulator process need not paint it again.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -8,11 +8,11 @@ use flockeye_runtime::whole_file::write_whole;
 use crate::parameters::WorldParameters;
 use crate::sphere::SphereGrid;
 
-/// Rises when the hall is painted in another way.
+/// Version of the painting code: increase it when the painted hall changes.
 const PAINTER: u64 = 1;
 
-/// Where the painting of this world on this grid is kept, with so many columns swept in an exposure.
-/// `None` where nothing is kept.
+/// Path of the painting of this world on this grid; `swept`: columns that motion blur covers in an
+/// exposure. `None` without a folder.
 pub(crate) fn path(parameters: &WorldParameters, grid: &SphereGrid, swept: f64) -> Option<PathBuf> {
     let folder = parameters.paint_folder.as_deref()?;
     let (seed, width, height) = (parameters.seed, grid.width, grid.height);
@@ -21,7 +21,7 @@ pub(crate) fn path(parameters: &WorldParameters, grid: &SphereGrid, swept: f64) 
     Some(folder.join(name))
 }
 
-/// What was kept, if that is a painting of `pixels` pixels.
+/// The painting in a file, if it has `pixels` pixels.
 pub(crate) fn read(path: &Path, pixels: usize) -> Option<Vec<f32>> {
     let bytes = fs::read(path).ok()?;
     let (chunks, rest) = bytes.as_chunks::<4>();
@@ -29,7 +29,7 @@ pub(crate) fn read(path: &Path, pixels: usize) -> Option<Vec<f32>> {
     is_whole.then(|| chunks.iter().map(|chunk| f32::from_le_bytes(*chunk)).collect())
 }
 
-/// Keeps a painting. Where that cannot be, the next process paints it again.
+/// Writes a painting. If that fails, the next process paints it again.
 pub(crate) fn write(path: &Path, light: &[f32]) {
     let bytes: Vec<u8> = light.iter().flat_map(|light| light.to_le_bytes()).collect();
     let made = path.parent().map_or(Ok(()), fs::create_dir_all);

@@ -1,8 +1,8 @@
 //! A synthetic world in place of a spherical camera of any model: frames, and the truth about them.
 //!
-//! [`World::render`] writes the 8-bit luma plane of a frame into memory that it is given, and
-//! returns where every body was. It has no port and no clock. Its one file is the painting that it
-//! keeps for the next process.
+//! [`World::render`] writes the 8-bit luma plane of a frame into the caller's memory, and returns
+//! the poses of all bodies. It has no port and no clock. It has one file: the painted panorama,
+//! kept for the next process.
 //!
 //! ```
 //! use flockeye_dictionary::Dictionary;
@@ -20,36 +20,36 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
-//! How a frame comes about, all in linear light up to the last step:
+//! Modules. All drawing is in linear light up to the last step:
 //!
 //! | module | what it does |
 //! | --- | --- |
-//! | `parameters` | what a world can be like |
-//! | `world` | makes it all, once, and is asked for frames |
-//! | `error` | what keeps a world or a frame from being made |
-//! | `trajectory` | where the bodies are at a time |
-//! | `gusts` | how gusts make the observer and the bodies lean and sway |
-//! | `drone_motion` | how the observer and its camera move, and what an inertial sensor in it feels |
-//! | `wander` | where the drones of a swarm fly |
-//! | `inertial` | that sensor, with bias, noise, mounting and a clock of its own |
-//! | `moment` | where everything is at an instant |
-//! | `eyes` | where each part of the image is taken from: the camera's middle, or its lenses' places |
-//! | `kept_painting` | the painted panorama, left to the next process |
-//! | `hall`, `backdrop` | the panorama behind them: painted and blurred once, then turned |
-//! | `cube` | the same for an observer that leans and turns unevenly, blurred along the way in each frame |
+//! | `parameters` | parameters of a world, and their checks |
+//! | `world` | builds the scene once, and renders frames |
+//! | `error` | errors of a world or a frame |
+//! | `trajectory` | paths of the bodies |
+//! | `gusts` | lean and sway of drones in gusts |
+//! | `drone_motion` | motion of the observer and its camera, and the specific force in it |
+//! | `wander` | paths of the drones of a swarm |
+//! | `inertial` | the inertial sensor: bias, noise, mounting and clock offset |
+//! | `moment` | poses of camera and bodies at one instant |
+//! | `eyes` | viewpoints of the image's parts: the camera's centre, or the lenses' positions |
+//! | `kept_painting` | the painted panorama, kept for the next process |
+//! | `hall`, `backdrop` | the panorama behind the bodies: painted and blurred once, then turned |
+//! | `cube` | the same for an observer in gusts, with motion blur in each frame |
 //! | `drone` | bodies and airframes as painted convex parts |
-//! | `raster`, `optics`, `drawing` | drawn with exact area coverage, blurred by lens and motion, for each eye |
-//! | `sun` | a low sun, and the shadows that it casts in stripes |
-//! | `density` | where an eye sees a body, and how many pixels the image has there |
-//! | `own_airframe` | the observer's own legs over everything |
-//! | `scene`, `picture` | what a frame is made from, and the image that it is laid on |
-//! | `sphere`, `sphere_picture` | laid on the sphere image, row by row |
-//! | `tiles`, `panorama`, `tiled_picture` | laid on any other image, tile by tile |
-//! | `response`, `sensor` | the curve to code values, clipping, noise |
-//! | `schedule`, `ahead` | in flight: which frame is drawn when, before its time |
-//! | `settings` | the world as the configuration asks for it |
+//! | `raster`, `optics`, `drawing` | exact rasterization, and blur by lens and motion |
+//! | `sun` | a low sun, and striped shadows |
+//! | `density` | pixels per radian where an eye sees a body |
+//! | `own_airframe` | the observer's own airframe in front of everything |
+//! | `scene`, `picture` | the parts of a frame, and the image that they are drawn on |
+//! | `sphere`, `sphere_picture` | drawing on an equirectangular image, row by row |
+//! | `tiles`, `panorama`, `tiled_picture` | drawing on any other image, tile by tile |
+//! | `response`, `sensor` | response curve, clipping, noise |
+//! | `schedule`, `ahead` | in flight: drawing of frames ahead of their time |
+//! | `settings` | the world for a configuration |
 //! | `messages` | the truth about a frame, as messages |
-//! | `core` | which frame is drawn or handed over next, and its messages |
+//! | `core` | the order of frames, and their messages |
 //! | `stage` | the ports around it |
 
 #![warn(unreachable_pub)]
@@ -100,7 +100,7 @@ pub use response::CameraCurve;
 pub use truth::{FrameTruth, TargetTruth};
 pub use world::World;
 
-/// The simulator stage's process. It is here so that it is compiled once, with the library.
+/// The simulator stage's process. It is part of the library, so that it is compiled once.
 pub fn main() -> std::process::ExitCode {
     flockeye_runtime::stage::main::<stage::SimulatorStage>()
 }

@@ -7,7 +7,7 @@ use nalgebra::Isometry3;
 
 use crate::{FrameTruth, TargetTruth};
 
-/// The truth about a frame in which these bodies fly.
+/// The truth message of a frame; `bodies` are the flying bodies.
 pub(crate) fn truth_message(
     stamp: FrameStamp,
     truth: &FrameTruth,

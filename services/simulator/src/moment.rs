@@ -1,10 +1,10 @@
-//! Where the bodies are at one instant.
+//! Poses of the camera and the bodies at one instant.
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 
 use crate::eyes::Eye;
 
-/// Where a body is, and how it moves, as the camera sees it.
+/// Pose and velocity of a body, relative to the camera.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Placement {
     /// Pose of the body's markers in the camera frame.
@@ -19,7 +19,7 @@ impl Placement {
         self.camera_from_markers.translation.vector
     }
 
-    /// The placement as an eye sees it, from its own place and along the camera's axes.
+    /// The placement relative to an eye: from the eye's position, along the camera's axes.
     pub(crate) fn seen_from(&self, eye: &Eye) -> Self {
         Self {
             camera_from_markers: Translation3::from(-eye.position_m) * self.camera_from_markers,
@@ -27,24 +27,24 @@ impl Placement {
         }
     }
 
-    /// How fast the centre moves across the sphere, radians per second.
+    /// Angular speed of the body's centre as seen by the camera, radians per second.
     pub fn angular_speed(&self) -> f64 {
         let at = self.position();
         at.cross(&self.velocity_in_camera).norm() / at.norm_squared()
     }
 }
 
-/// How the camera is turned, and how it turns.
+/// Orientation and angular velocity of the camera.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Attitude {
-    /// Its orientation in the world.
+    /// Orientation in the world.
     pub world_from_camera: UnitQuaternion<f64>,
-    /// Its angular velocity in its own axes, radians per second.
+    /// Angular velocity along the camera's axes, radians per second.
     pub rate_in_camera: Vector3<f64>,
 }
 
 impl Attitude {
-    /// Level, turned left by `yaw` radians.
+    /// A level camera at rest, turned left by `yaw` radians.
     pub fn level(yaw: f64) -> Self {
         Self {
             world_from_camera: UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw),
@@ -52,26 +52,26 @@ impl Attitude {
         }
     }
 
-    /// The yaw, radians, -pi to pi.
+    /// Yaw of the camera, radians, -pi to pi.
     pub fn yaw(&self) -> f64 {
         let ahead = self.world_from_camera * Vector3::x();
         ahead.y.atan2(ahead.x)
     }
 
-    /// The placement this many seconds later.
+    /// The attitude `time_s` seconds later.
     pub(crate) fn after(&self, time_s: f64) -> Self {
         let turned = UnitQuaternion::from_scaled_axis(self.rate_in_camera * time_s);
         Self { world_from_camera: self.world_from_camera * turned, ..*self }
     }
 }
 
-/// Everything that moves, at one instant.
+/// Attitude of the camera and placements of all bodies at one instant.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Moment {
     /// Seconds since the middle of frame 0's exposure.
     pub time_s: f64,
-    /// The camera's.
+    /// Attitude of the camera.
     pub camera: Attitude,
-    /// Every body, by its index in the configuration.
+    /// Placement of each body, by its index in the configuration.
     pub placements: Vec<Placement>,
 }

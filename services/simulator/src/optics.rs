@@ -1,9 +1,9 @@
 //! Blur: the lens's point spread and motion during the exposure, in linear light.
 
-/// Half of a symmetric blur kernel: the weight of the sample itself, then of those at distance 1,
-/// 2, ... on either side. The weights of all sum to 1.
+/// Half of a symmetric blur kernel: the weights of the samples at distance 0, 1, 2, ... on either
+/// side. All weights sum to 1.
 ///
-/// A Gaussian of standard deviation `sigma`, drawn out evenly over a `length`; both in samples.
+/// Convolution of a Gaussian of standard deviation `sigma` with a box of `length`; both in samples.
 pub(crate) fn blur_kernel(sigma: f64, length: f64) -> Vec<f32> {
     let parts = (4.0 * length / sigma).ceil().max(1.0) as usize;
     let reach = (3.7 * sigma + length / 2.0).ceil() as usize;
@@ -20,8 +20,8 @@ pub(crate) fn blur_kernel(sigma: f64, length: f64) -> Vec<f32> {
     weights.into_iter().map(|weight| (weight / sum) as f32).collect()
 }
 
-/// Blurs along the row: `out[i]` from `padded[i + reach * step]` and its neighbours at multiples of
-/// `step`, `reach` on either side. `padded` is longer than `out` by `2 * reach * step`.
+/// Blurs along a row: `out[i]` from `padded[i + reach * step]` and `reach` neighbours at multiples
+/// of `step` on either side. `padded` is longer than `out` by `2 * reach * step`.
 pub(crate) fn blur_row(padded: &[f32], out: &mut [f32], kernel: &[f32], step: usize) {
     let middle = (kernel.len() - 1) * step;
     let n = out.len();
@@ -37,8 +37,8 @@ pub(crate) fn blur_row(padded: &[f32], out: &mut [f32], kernel: &[f32], step: us
     }
 }
 
-/// Blurs across rows: `out` from the `columns` of row `at` of `rows` (each `width` long) and those
-/// above and below it, the first and last repeated beyond the ends.
+/// Blurs across rows: `out` is the result for the `columns` of row `at`. Each of `rows` has `width`
+/// values. The first and last row are repeated beyond the ends.
 pub(crate) fn blur_rows(
     rows: &[f32],
     width: usize,

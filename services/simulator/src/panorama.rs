@@ -1,5 +1,5 @@
-//! The panorama behind the bodies for any camera: painted once in several sizes, looked up by each
-//! pixel's direction, turned with the observer's yaw.
+//! The panorama behind the bodies for any camera: painted once in several sizes, looked up by
+//! direction and yaw.
 
 use std::f64::consts::{PI, TAU};
 
@@ -9,30 +9,30 @@ use crate::sensor::ImageSensor;
 use crate::sphere::SphereGrid;
 use crate::tiles::{ImageTile, TILE};
 
-/// Steps of a stored value for each unit of light's root.
+/// Stored units per unit of the square root of light.
 const ROOT_STEPS: f32 = 8192.0;
-/// Values in the table from roots to levels: up to four times full scale, more than any lamp has.
+/// Entries of the table from roots to levels: up to light 4, which exceeds the lamps.
 const ROOTS: usize = 16_384;
-/// Narrowest and widest panorama, columns.
+/// Minimum and maximum width of a panorama, columns.
 const WIDTHS: [f64; 2] = [64.0, 8192.0];
 
-/// Longitudes and latitudes of a row of pixels: parts of a turn leftwards of the panorama's first
-/// column, and of half a turn down from the pole; 1/65536 each.
+/// Longitudes and latitudes of a row of pixels. Units: 1/65536 turn from the first column, and
+/// 1/65536 of half a turn from the pole.
 type PlaceRow = [[u16; TILE]; 2];
 
-/// Where the pixels of a tile look in the panorama.
+/// Positions of a tile's pixels in the panorama.
 #[derive(Debug)]
 pub(crate) struct Outlook {
-    /// Which of the panoramas is about as fine as the image here.
+    /// Index of the panorama with the best resolution for this tile.
     panorama: usize,
     places: [PlaceRow; TILE],
 }
 
-/// Panoramas of the hall, each twice as fine as the one before.
+/// Panoramas of the hall, each with twice the resolution of the one before.
 #[derive(Debug)]
 pub(crate) struct Panoramas {
     sizes: Vec<Panorama>,
-    /// Level and sigma of every root of light.
+    /// Level and sigma for each root of light.
     encoded: Vec<[u8; 2]>,
 }
 
@@ -40,12 +40,13 @@ pub(crate) struct Panoramas {
 struct Panorama {
     width: usize,
     height: usize,
-    /// Roots of linear light; the first column again after each row, and the last row again.
+    /// Square roots of linear light. The first column is repeated after each row, and the last row
+    /// once.
     roots: Vec<u16>,
 }
 
 impl Panoramas {
-    /// The panoramas that `bands` of tiles need, and where each tile looks.
+    /// The panoramas for `bands` of tiles, and the positions of each tile's pixels in them.
     pub(crate) fn new(
         parameters: &WorldParameters,
         bands: &[Vec<ImageTile>],
@@ -54,8 +55,8 @@ impl Panoramas {
         let camera = &parameters.camera;
         let usual = camera.pixels_per_radian();
         let doublings = |tile: &ImageTile| {
-            // A panorama of many more columns than the image, for the rim of a very wide plane, is
-            // not worth its time and memory.
+            // Limit for the rim of a very wide plane: a panorama much finer than the image is too
+            // expensive.
             let most = f64::from(camera.width().max(camera.height())) / PI;
             let wanted = tile.density.pixels_per_radian().clamp(usual / 8.0, usual.max(most));
             (wanted / usual).log2().round() as i32
@@ -115,19 +116,19 @@ impl Panorama {
         Self { width: grid.width, height: grid.height, roots }
     }
 
-    /// What to add to a place's turn, in parts of 2^32, so that its whole columns count from the
-    /// middle of the first one.
+    /// Offset of longitudes for a yaw, in units of 2^-32 turns. Column positions then start at the
+    /// centre of the first column.
     fn first_turn(&self, yaw: f64) -> u32 {
         let turns = -yaw / TAU - 0.5 / self.width as f64;
-        // Less than 2^32, but for rounding, which makes it that: 0 again.
+        // Rounding may give 2^32, which the cast makes 0.
         ((turns - turns.floor()) * 2f64.powi(32)) as u64 as u32
     }
 
-    /// Root of the light at a place, interpolated.
+    /// Root of the light at a position, interpolated.
     #[inline]
     fn root(&self, turn: u16, height: u16, first: u32) -> u16 {
         let turn = u64::from((u32::from(turn) << 16).wrapping_add(first));
-        // In 256ths of columns and rows.
+        // Positions in 1/256 columns and rows.
         let across = (turn * self.width as u64) >> 24;
         let down = ((usize::from(height) * self.height) >> 8).saturating_sub(128);
         let (column, row) = ((across >> 8) as usize, (down >> 8).min(self.height - 1));
@@ -147,7 +148,7 @@ impl Outlook {
                 let [x, y, z] = [0, 1, 2].map(|axis| f64::from(tile.rays[row][axis][column]));
                 let turn = 0.5 - y.atan2(x) / TAU;
                 let height = 0.5 - z.atan2(x.hypot(y)) / PI;
-                // A whole turn is no turn; the poles are at the ends.
+                // A full turn wraps to 0; latitudes are clamped at the poles.
                 places[0][column] = (turn * 65_536.0).round() as u32 as u16;
                 places[1][column] = (height * 65_536.0).round().clamp(0.0, 65_535.0) as u16;
             }

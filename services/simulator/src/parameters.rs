@@ -8,73 +8,70 @@ use flockeye_geometry::camera::Camera;
 use crate::response::CameraCurve;
 use crate::sun;
 
-/// A synthetic world: its camera, its light and how its bodies fly.
+/// Parameters of a synthetic world: camera, light and flight of the bodies.
 #[derive(Debug, Clone, PartialEq)]
 pub struct WorldParameters {
-    /// Where the painted hall is kept for later processes; `None`: nowhere.
+    /// Folder in which the painted hall is kept for later processes; `None`: it is not kept.
     pub paint_folder: Option<PathBuf>,
-    /// Everything random follows from it: the same seed gives the same bytes.
+    /// Seed of all random numbers: the same seed gives the same bytes.
     pub seed: u64,
-    /// The camera that sees it, in the frame whose origin the bodies' distances count from.
+    /// The camera. Distances of the bodies are measured from the origin of its frame.
     pub camera: Camera,
     /// The curve between light and code values.
     pub response: CameraCurve,
     /// Frames in each second; the middle of frame k's exposure is at k / `frames_per_second`.
     pub frames_per_second: f64,
-    /// How long each frame is exposed, seconds.
+    /// Exposure time of each frame, seconds.
     pub exposure_s: f64,
-    /// By how many stops pictures are brighter than they should be; darker if negative. Motion blur
-    /// is that of `exposure_s` all the same.
+    /// Overexposure, stops; negative: underexposure. Motion blur depends on `exposure_s` alone.
     pub exposure_stops: f64,
-    /// By how many stops pictures become brighter and darker in turn, as an auto-exposure makes
-    /// them that follows the backdrop and knows nothing of the bodies.
+    /// Amplitude of a slow exposure variation, stops: as with an auto-exposure that follows the
+    /// backdrop, not the bodies.
     pub exposure_swing_stops: f64,
-    /// Shines on the bodies; `None`: the hall's lamps alone.
+    /// Sun on the bodies; `None`: the hall's lamps alone.
     pub sun: Option<SimulatedSun>,
-    /// Sensitivity: shot noise grows with its root, read noise with itself. 0 is a picture without
+    /// Sensitivity: shot noise is proportional to its square root, read noise to itself. 0: no
     /// noise.
     pub iso: u32,
-    /// Standard deviation of the noise that is there without light, at ISO 100, as a share of full
-    /// scale in linear light.
+    /// Standard deviation of the read noise at ISO 100, as a share of full scale in linear light.
     pub read_noise: f64,
     /// Standard deviation of the photon noise at full scale, at ISO 100, as a share of full scale.
     pub shot_noise: f64,
-    /// Standard deviation of the lens's Gaussian point spread, pixels of the image: as
-    /// they are round each body, and on an equirectangular image as they are at the equator.
+    /// Standard deviation of the lens's Gaussian point spread, pixels of the image at each body.
+    /// For an equirectangular image: pixels at the equator.
     pub lens_blur_px: f64,
-    /// Rate at which the observer turns to its left, degrees per second.
+    /// Yaw rate of the observer, to the left, degrees per second.
     pub observer_yaw_rate_deg_s: f64,
-    /// Farthest that gusts make drones lean, the observer and all others, degrees. 0: calm air.
+    /// Maximum lean of all drones in gusts, degrees. 0: calm air.
     pub tilt_deg: f64,
-    /// By how much gusts turn drones faster or slower than they would, degrees per second.
+    /// Maximum change of the drones' yaw rate by gusts, degrees per second.
     pub yaw_swing_deg_s: f64,
     /// Time between the exposures of the first and the last row, seconds. 0: a global shutter.
     pub readout_s: f64,
-    /// Nearest and farthest distance of the bodies' centres from the camera, metres. In a swarm: of
-    /// drones that are side by side on its ring from each other.
+    /// Minimum and maximum distance of the bodies' centres from the camera, metres. In a swarm:
+    /// distance between neighbours on its ring.
     pub distance_m: [f64; 2],
     /// Greatest speed of any body, metres per second.
     pub speed_m_s: f64,
-    /// Whether the bodies sit on drones, and the camera on one, that hide things.
+    /// Whether the bodies and the camera are on drones with an airframe that hides objects.
     pub airframes: bool,
-    /// Samples of a body's drawing for each pixel of the image, along a line, before the lens blurs
-    /// it. 2 takes a fraction of a frame's time; 4 is for work on accuracy, not in real time.
+    /// Samples per pixel of a body's drawing, along a line, before the lens blur. 2: fast enough
+    /// for real time. 4: for studies of accuracy.
     pub samples_per_px: f64,
-    /// The observer's place in a swarm whose drones all fly in this world; `None`: the bodies fly
-    /// round it.
+    /// Swarm whose drones all fly in this world; `None`: the bodies fly round the observer.
     pub swarm: Option<SwarmPlace>,
 }
 
-/// Which drone of a swarm looks at the world that all of them fly in.
+/// The observer's place in a swarm. All its drones fly in the same world.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SwarmPlace {
-    /// The observer's number. The bodies are the other drones, in the order of their numbers.
+    /// Number of the observer. The bodies are the other drones, in the order of their numbers.
     pub drone: u32,
-    /// How many drones there are.
+    /// Number of drones, with the observer.
     pub drones: u32,
-    /// When the world's time was 0, CLOCK_MONOTONIC, nanoseconds: one time for all who look at it.
+    /// Start of the world's time, CLOCK_MONOTONIC, nanoseconds: equal for all observers.
     pub start_ns: i64,
-    /// Where the camera sits on the observer, metres.
+    /// Position of the camera on the observer, metres.
     pub observer_from_camera_m: [f64; 3],
 }
 
@@ -110,18 +107,16 @@ impl Default for WorldParameters {
     }
 }
 
-/// An auto-exposure swings once in this time, seconds: slowly beside a frame, and several times in
-/// a flight.
+/// Period of the exposure variation, seconds: long compared to a frame, short compared to a flight.
 const EXPOSURE_SWING_S: f64 = 2.5;
 
 impl WorldParameters {
-    /// Stops by which the auto-exposure makes a picture brighter at a time than
-    /// [`Self::exposure_stops`].
+    /// Exposure variation at a time, stops, in addition to [`Self::exposure_stops`].
     pub(crate) fn exposure_swing_at(&self, time_s: f64) -> f64 {
         self.exposure_swing_stops * (std::f64::consts::TAU * time_s / EXPOSURE_SWING_S).sin()
     }
 
-    /// Everything that is wrong with the values, in words; empty for a world that can be made.
+    /// Texts of all errors in the values; empty for a valid world.
     pub(crate) fn problems(&self) -> Vec<String> {
         let mut problems = Vec::new();
         let mut refuse = |(is_bad, why): (bool, String)| {
@@ -179,20 +174,20 @@ impl WorldParameters {
         problems
     }
 
-    /// When a frame is exposed, seconds since the middle of frame 0's exposure. Cameras of a swarm
-    /// are not synchronized: each is a share of a frame later than the one before it.
+    /// Exposure of a frame, seconds since the middle of frame 0's exposure. Cameras of a swarm are
+    /// not synchronized: each is later than the one before by a share of a frame.
     pub(crate) fn time_of(&self, frame: u64) -> f64 {
         let share =
             self.swarm.map_or(0.0, |swarm| f64::from(swarm.drone) / f64::from(swarm.drones));
         (frame as f64 + share) / self.frames_per_second
     }
 
-    /// Whether the observer stays level and turns evenly, and all rows are exposed at once.
+    /// Whether the observer is level, has a constant yaw rate and a global shutter.
     pub(crate) fn is_calm(&self) -> bool {
         self.tilt_deg == 0.0 && self.yaw_swing_deg_s == 0.0 && self.readout_s == 0.0
     }
 
-    /// Rate at which the observer turns, radians per second.
+    /// Yaw rate of the observer, radians per second.
     pub(crate) fn observer_yaw_rate(&self) -> f64 {
         self.observer_yaw_rate_deg_s.to_radians()
     }

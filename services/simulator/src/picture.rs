@@ -1,5 +1,5 @@
-//! How the layers of a frame become its pixels: on the sphere image row by row, on any other image
-//! tile by tile.
+//! Composition of a frame's layers to pixels: row by row for an equirectangular image, tile by tile
+//! for others.
 
 use std::f64::consts::FRAC_PI_2;
 
@@ -14,12 +14,12 @@ use crate::sensor::ImageSensor;
 use crate::sphere_picture::SpherePicture;
 use crate::tiled_picture::TiledPicture;
 
-/// The image of a camera, with what is the same in all its frames.
+/// The image of a camera, with all data that is equal in all frames.
 #[derive(Debug)]
 pub(crate) enum CameraPicture {
-    /// Equirectangular and twice as wide as high: rows are turned and copied.
+    /// Equirectangular image with aspect 2:1: rows are shifted and copied.
     Sphere(SpherePicture),
-    /// The image of any camera: pixels are looked up.
+    /// Image of any camera: pixels are looked up.
     Tiled(TiledPicture),
 }
 
@@ -49,8 +49,8 @@ impl CameraPicture {
         }
     }
 
-    /// The image's density where the eye of this index sees a body of `radius` metres; `None` if
-    /// nothing of it, nor of its blur, is in that eye's part of the image.
+    /// The image's density at a body of `radius` metres, for the eye of this index. `None` if
+    /// neither the body nor its blur is in the eye's part.
     pub(crate) fn density_at(
         &self,
         eye: usize,
@@ -64,7 +64,7 @@ impl CameraPicture {
             Self::Sphere(picture) => picture.nearest(eye, &direction),
             Self::Tiled(picture) => picture.nearest(eye, &direction)?,
         };
-        // As a drawing's margins are counted: twice the reach of its blur.
+        // As in a drawing's margins: twice the reach of its blur.
         let blur = 8.0 * parameters.lens_blur_px / density.pixels_per_radian();
         let motion = seen.angular_speed() * parameters.exposure_s;
         let reach = (radius / at.norm()).min(1.0).asin() + blur + motion;

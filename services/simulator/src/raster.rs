@@ -1,17 +1,16 @@
-//! Exact area coverage of polygons, added up.
+//! Polygon rasterization with exact area coverage.
 //!
-//! Every edge leaves in each row it crosses the change of covered area from one sample to the
-//! next; a running sum along the row gives the coverage. It is exact for straight edges, linear
-//! in the polygons, and what two neighbours share cancels, so that no background shines through
-//! between facets. The method is that of Raph Levien's font-rs ("Inside the fastest font renderer
-//! in the world", 2016).
+//! Each edge adds, in each row it crosses, the change of covered area between adjacent samples. A
+//! running sum along the row gives the coverage. It is exact for straight edges and linear in the
+//! polygons. Shared edges cancel, so no background is visible between facets. Method: Raph Levien's
+//! font-rs ("Inside the fastest font renderer in the world", 2016).
 
 use nalgebra::Point2;
 
-/// Light times coverage, and coverage: what a layer adds to a sample and how much it hides.
+/// Channels of a sample: light times coverage, and coverage.
 pub(crate) const CHANNELS: usize = 2;
 
-/// Differences along rows of (light, coverage), waiting to be summed.
+/// Differences of (light, coverage) along rows, before the running sum.
 #[derive(Debug, Default)]
 pub(crate) struct Accumulator {
     width: usize,
@@ -19,20 +18,20 @@ pub(crate) struct Accumulator {
 }
 
 impl Accumulator {
-    /// Makes room for `width` by `height` samples. All is empty between two layers, so nothing has
-    /// to be cleared.
+    /// Allocates `width` by `height` samples. All differences are 0 between layers, so nothing is
+    /// cleared.
     pub(crate) fn resize(&mut self, width: usize, height: usize) {
         self.width = width;
         self.differences.resize(width * height * CHANNELS, 0.0);
     }
 
-    /// Adds the area of a simple polygon: `light` and `cover` for each whole sample. Its points
-    /// lie in [0, width - 2] x [0, height]; sample (i, j) is the square from (i, j) to
-    /// (i + 1, j + 1). The order of the corners does not matter.
+    /// Adds the area of a simple polygon: `light` and `cover` per fully covered sample. Its points
+    /// are in [0, width - 2] x [0, height]; sample (i, j) is the square from (i, j) to (i + 1, j +
+    /// 1). The order of the corners does not matter.
     pub(crate) fn add_polygon(&mut self, corners: &[Point2<f64>], light: f64, cover: f64) {
         let pairs = || corners.iter().zip(corners.iter().cycle().skip(1));
         let doubled_area: f64 = pairs().map(|(a, b)| a.x * b.y - b.x * a.y).sum();
-        // With y downwards, a positive area has its left side running upwards.
+        // With y downwards, a positive area has its left edge upwards.
         let sign = if doubled_area > 0.0 { -1.0 } else { 1.0 };
         for (from, to) in pairs() {
             self.add_edge(*from, *to, [light * sign, cover * sign]);
@@ -56,8 +55,8 @@ impl Accumulator {
         }
     }
 
-    /// The part of an edge within one row, from `left` to `right`; `weights` are what it adds to
-    /// every sample right of it.
+    /// Adds the part of an edge within one row, from `left` to `right`. `weights` are added to each
+    /// sample right of it.
     fn add_row_edge(&mut self, row: usize, left: f64, right: f64, weights: [f32; CHANNELS]) {
         let start = row * self.width * CHANNELS;
         let first = left as usize;
@@ -73,8 +72,8 @@ impl Accumulator {
             add(first + 1, beyond);
             return;
         }
-        // The edge is at x for an equal share of the row for every x from left to right: the mean
-        // of what is right of x within a column is the column's area right of the edge.
+        // The edge's x is uniformly distributed from left to right over the row's height. So the
+        // mean share of a column right of x is its covered area.
         let last = right.ceil() as usize - 1;
         let mut before = 0.0;
         for column in first..=last {
@@ -88,8 +87,8 @@ impl Accumulator {
         add(last + 1, 1.0 - before);
     }
 
-    /// Lays what was added over `samples` (rows of (light, coverage), premultiplied), hiding what
-    /// was there by `opacity` where covered, in the rows and columns given; and forgets it.
+    /// Composites the added polygons over `samples` in the given rows and columns, and resets the
+    /// differences. Samples are premultiplied (light, coverage); `opacity` scales the layer.
     pub(crate) fn lay_over(
         &mut self,
         samples: &mut [f32],

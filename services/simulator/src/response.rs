@@ -1,20 +1,19 @@
-//! The curve between light and code values, either way.
+//! The response curve between light and code values, in both directions.
 
 use flockeye_imaging::light::TransferCurve;
 
-/// How a camera encodes light.
+/// The response curve of a camera.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[expect(clippy::large_enum_variant, reason = "a world has one, and it is copied seldom")]
 pub enum CameraCurve {
-    /// By a curve with a name.
+    /// A standard curve.
     Curve(TransferCurve),
-    /// As measured: the light of each code, rising to 1.
+    /// A measured curve: light of each code value, rising to 1.
     Table([f32; 256]),
 }
 
 impl CameraCurve {
-    /// Linear light, as a share of full scale, that `level` stands for. The sRGB curve is that of
-    /// IEC 61966-2-1.
+    /// Linear light of `level`, as a share of full scale. sRGB: IEC 61966-2-1.
     pub(crate) fn light(&self, level: u8) -> f32 {
         let encoded = f32::from(level) / 255.0;
         match self {
@@ -26,7 +25,7 @@ impl CameraCurve {
         }
     }
 
-    /// Value from 0 to 1 that stands for linear light from 0 to 1, before it is rounded to a level.
+    /// Encoded value (0 to 1) of linear light (0 to 1), before rounding to a level.
     pub(crate) fn encoded(&self, light: f32) -> f32 {
         match self {
             Self::Curve(TransferCurve::Srgb) if light <= 0.003_130_8 => light * 12.92,
@@ -34,7 +33,7 @@ impl CameraCurve {
             Self::Curve(TransferCurve::Gamma(gamma)) => light.powf(1.0 / gamma),
             Self::Curve(TransferCurve::Linear) => light,
             Self::Table(table) => {
-                // The first code that stands for more; between the two, on a line.
+                // Index of the first code with more light; linear interpolation between the two.
                 let above = table.partition_point(|&entry| entry <= light);
                 let Some(below) = above.checked_sub(1) else { return 0.0 };
                 let Some(&more) = table.get(above) else { return 1.0 };
@@ -44,7 +43,7 @@ impl CameraCurve {
         }
     }
 
-    /// What is wrong with it, in words.
+    /// The error in the curve, as text.
     pub(crate) fn problem(&self) -> Option<String> {
         match self {
             Self::Curve(TransferCurve::Gamma(gamma)) if !(0.1..=10.0).contains(gamma) => {
@@ -52,7 +51,7 @@ impl CameraCurve {
             }
             Self::Curve(_) => None,
             Self::Table(table) => {
-                // NaN rises nowhere.
+                // NaN fails the comparison.
                 let rises = table.windows(2).all(|pair| pair[0] < pair[1]);
                 let is_light = table[0] >= 0.0 && table[255] <= 1.0;
                 (!(rises && is_light))

@@ -1,6 +1,6 @@
-//! Random numbers that belong to a place: the same wherever and whenever they are asked for.
+//! Hash functions and value noise: pseudo-random numbers that depend on their arguments alone.
 
-/// A number that looks random, from any number (the finaliser of SplitMix64, Steele et al. 2014).
+/// Pseudo-random hash of a number (finaliser of SplitMix64, Steele et al. 2014).
 pub(crate) fn mix(value: u64) -> u64 {
     let value = value.wrapping_add(0x9e37_79b9_7f4a_7c15);
     let value = (value ^ (value >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
@@ -8,14 +8,14 @@ pub(crate) fn mix(value: u64) -> u64 {
     value ^ (value >> 31)
 }
 
-/// A number from 0 up to 1 for cell (`i`, `j`) of the pattern `seed`.
+/// Pseudo-random number in [0, 1) for cell (`i`, `j`) of the pattern `seed`.
 pub(crate) fn at_cell(seed: u64, i: i32, j: i32) -> f32 {
     let cell = u64::from(i.cast_unsigned()) << 32 | u64::from(j.cast_unsigned());
     (mix(seed ^ mix(cell)) >> 40) as f32 / (1u64 << 24) as f32
 }
 
-/// The largest whole number not above `x`, which must lie within the whole numbers of 32 bits.
-/// `f32::floor` is a function call where SSE 4.1 cannot be taken for granted, as here; this is not.
+/// Floor of `x`, which must be in the range of `i32`. `f32::floor` is a slow function call here,
+/// because SSE 4.1 is not assumed.
 pub(crate) fn floor(x: f32) -> f32 {
     let towards_zero = x as i32 as f32;
     towards_zero - f32::from(u8::from(towards_zero > x))

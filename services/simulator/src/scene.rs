@@ -1,15 +1,15 @@
-//! What a frame is made from.
+//! The parts of a frame.
 
 use crate::drawing::DroneDrawing;
 use crate::moment::Attitude;
 
-/// Everything that a frame is made from.
+/// The parts of a frame that change from frame to frame.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct FrameScene<'a> {
-    /// Chooses the noise.
+    /// Frame number, which seeds the noise.
     pub frame: u64,
-    /// The camera's, in the middle of the exposure.
+    /// Attitude of the camera in the middle of the exposure.
     pub camera: Attitude,
-    /// The bodies' drawings, farthest first, each with the index of the eye that sees it.
+    /// Drawings of the bodies, farthest first, each with the index of its eye.
     pub layers: &'a [(usize, &'a DroneDrawing)],
 }

@@ -1,38 +1,38 @@
-//! When which frame is exposed, drawn and handed over.
+//! Schedule of the exposure, drawing and publication of frames.
 
-/// When a frame is exposed and given away, nanoseconds of CLOCK_MONOTONIC.
+/// Times of a frame, nanoseconds of CLOCK_MONOTONIC.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Times {
-    /// The middle of its exposure.
+    /// Middle of the exposure.
     pub exposure_ns: i64,
-    /// When it is handed over.
+    /// Time of publication.
     pub handover_ns: i64,
-    /// When the next one is: then it is too late for this one.
+    /// Time of publication of the next frame: from then on this frame is too late.
     pub next_ns: i64,
 }
 
-/// Decay of the longest time that drawing took, with each frame: one slow frame lets the next
-/// hundred be left out a little sooner.
+/// Decay of the maximum drawing time, per frame. After a slow frame, the next hundred frames are
+/// dropped slightly earlier.
 const FORGETTING: f64 = 0.97;
 
-/// Frames at a steady rate from a start.
+/// Frames at a constant rate from a start time.
 ///
-/// A frame is exposed round its scheduled instant, however long the work of drawing it takes, and
-/// handed over when its exposure ends: a camera's picture is there then. So frames are drawn
-/// before. One that would come when the next one should be there is left out.
+/// A frame's exposure is centred on its scheduled time, independent of the drawing time. As with a
+/// camera, the frame is published when its exposure ends, so it is drawn before. A frame that would
+/// be ready only when the next one is due is dropped.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct ExposureSchedule {
     start_ns: i64,
     period_ns: f64,
     half_exposure_ns: i64,
-    /// How long drawing is expected to take.
+    /// Expected drawing time.
     drawing_ns: f64,
     next: u64,
 }
 
 impl ExposureSchedule {
-    /// The middle of frame 0's exposure was at `start_ns`; `half_exposure_ns` later it was handed
-    /// over.
+    /// A schedule after frame 0. The middle of its exposure was at `start_ns`; it was published
+    /// `half_exposure_ns` later.
     pub(crate) fn new(start_ns: i64, frames_per_second: f64, half_exposure_ns: i64) -> Self {
         Self {
             start_ns,
@@ -43,8 +43,8 @@ impl ExposureSchedule {
         }
     }
 
-    /// A schedule that is joined at `now_ns` or at its start, whichever is later: frames before
-    /// that do not count.
+    /// A schedule that begins at `now_ns` or at its start, whichever is later. Frames before that
+    /// are not counted as dropped.
     pub(crate) fn joining(
         start_ns: i64,
         frames_per_second: f64,
@@ -53,11 +53,11 @@ impl ExposureSchedule {
     ) -> Self {
         let schedule = Self::new(start_ns, frames_per_second, half_exposure_ns);
         let elapsed = (now_ns - schedule.times(0).handover_ns) as f64 / schedule.period_ns;
-        // The next whole one; a negative number becomes 0.
+        // Next whole frame number; the cast makes a negative number 0.
         Self { next: elapsed.ceil() as u64, ..schedule }
     }
 
-    /// When frame `frame` is exposed and handed over.
+    /// The times of frame `frame`.
     pub(crate) fn times(&self, frame: u64) -> Times {
         let exposure_ns = |frame: u64| {
             self.start_ns.saturating_add((frame as f64 * self.period_ns).round() as i64)
@@ -70,15 +70,15 @@ impl ExposureSchedule {
         }
     }
 
-    /// When to begin drawing the next frame so that it is drawn so many frames before its time, and
-    /// not sooner: what was handed over last is being searched then.
+    /// The time to begin drawing the next frame, so that it is ready `frames_ahead` frames before
+    /// it is due. Earlier drawing would compete with the detection in the last frame.
     pub(crate) fn begin_ns(&self, frames_ahead: u64) -> i64 {
         let drawn_ns = self.times(self.next.saturating_sub(frames_ahead)).handover_ns;
         drawn_ns.saturating_sub(self.drawing_ns as i64)
     }
 
-    /// The frame to draw now, and how many before it cannot be drawn in time. It is the next one,
-    /// or, where that is late, the newest that should be there once it is drawn.
+    /// The frame to draw now, and the number of frames dropped before it. It is the next frame or,
+    /// if that is late, the newest frame due when drawing ends.
     pub(crate) fn draw(&mut self, now_ns: i64) -> (u64, u64) {
         let drawn_ns = now_ns + self.drawing_ns as i64;
         let elapsed = (drawn_ns - self.times(0).handover_ns) as f64 / self.period_ns;
@@ -88,7 +88,7 @@ impl ExposureSchedule {
         (frame, skipped)
     }
 
-    /// Takes note of how long a frame took to draw. At most a period is expected of the next one.
+    /// Notes the drawing time of a frame. The expected time is at most one period.
     pub(crate) fn drew(&mut self, took_ns: i64) {
         self.drawing_ns = (FORGETTING * self.drawing_ns).max(took_ns as f64).min(self.period_ns);
     }

@@ -1,4 +1,4 @@
-//! From linear light to the bytes of a camera: curve, clipping and noise.
+//! Image sensor: from linear light to code values, with response curve, clipping and noise.
 
 use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
@@ -8,19 +8,19 @@ use crate::parameters::WorldParameters;
 use crate::response::CameraCurve;
 use crate::scatter::mix;
 
-/// Steps of the table from the root of light to the encoded level: fine enough that rounding to
-/// whole levels moves by less than 0.02 level.
+/// Entries of the table from the root of light to levels. Their step shifts rounding thresholds by
+/// less than 0.02 level.
 const ENCODING_STEPS: usize = 16_384;
 /// Samples in the noise field.
 const NOISE_SAMPLES: usize = 1 << 20;
 /// Standard deviation of the noise field's values.
 const NOISE_UNIT: f32 = 32.0;
-/// Units of a sigma value for each grey level.
+/// Units of a sigma value per grey level.
 const SIGMA_UNIT: f32 = 16.0;
-/// Noise value times sigma value, for one grey level, as a power of two.
+/// Binary logarithm of (noise value times sigma value) per grey level.
 const NOISE_SHIFT: i16 = 9;
 
-/// A camera's sensor and encoder.
+/// The sensor and encoder of a camera.
 #[derive(Debug)]
 pub(crate) struct ImageSensor {
     decode: [f32; 256],
@@ -28,11 +28,11 @@ pub(crate) struct ImageSensor {
     shot_variance: f32,
     read_variance: f32,
     response: CameraCurve,
-    /// What the sensor makes of light 1: 2 if it is exposed twice as long as it should be.
+    /// Output for light 1: 2 for an exposure twice the correct one.
     gain: f32,
     sigma_of_level: [u8; 256],
-    /// For each level what it becomes by the auto-exposure, with its noise; `None` where nothing
-    /// swings.
+    /// Table from level to level and sigma after the exposure variation; `None` without a
+    /// variation.
     adapted: Option<Box<[[u8; 2]; 256]>>,
     noise: Vec<i8>,
     seed: u64,
@@ -68,7 +68,7 @@ impl ImageSensor {
         sensor
     }
 
-    /// Linear light of a level, in a picture that is exposed as it should be.
+    /// Linear light of a level, corrected by the gain.
     pub(crate) fn light(&self, level: u8) -> f32 {
         self.decode[usize::from(level)] / self.gain
     }
@@ -79,19 +79,20 @@ impl ImageSensor {
         self.encode[step.min(ENCODING_STEPS - 1)]
     }
 
-    /// Noise at a level, as [`ImageSensor::expose`] takes it.
+    /// Sigma at a level, in the units of [`ImageSensor::expose`].
     pub(crate) fn sigma(&self, level: u8) -> u8 {
         self.sigma_of_level[usize::from(level)]
     }
 
-    /// Noise at a light that may lie above full scale, where clipping leaves none.
+    /// Sigma at linear light that may exceed full scale, where clipping removes the noise.
     pub(crate) fn sigma_of_light(&self, light: f32) -> u8 {
         let light = light * self.gain;
         let sigma = (self.shot_variance * light + self.read_variance).sqrt();
         if light - 4.0 * sigma > 1.0 {
             return 0;
         }
-        // Mean slope of the curve over what the noise reaches: it bends too much for the tangent.
+        // Mean slope of the curve over the noise's range: the curvature is too large for the
+        // tangent.
         let (low, high) = ((light - sigma).max(0.0), (light + sigma).min(1.0));
         let slope = if high - low > 1e-9 {
             (self.response.encoded(high) - self.response.encoded(low)) / (high - low)
@@ -101,9 +102,8 @@ impl ImageSensor {
         (sigma * slope * 255.0 * SIGMA_UNIT).round() as u8
     }
 
-    /// Makes the next pictures brighter by so many stops than the levels that they are drawn in.
-    /// What is drawn in levels is brightened in light and clipped then; its steps become coarser
-    /// with it.
+    /// Brightens the next pictures by `stops`, after they were drawn in levels. Levels are scaled
+    /// in light and clipped again, so their steps become coarser.
     pub(crate) fn adapt(&mut self, stops: f64) {
         let more = stops.exp2() as f32;
         let adapted = |level: usize| {
@@ -113,8 +113,8 @@ impl ImageSensor {
         self.adapted = (stops != 0.0).then(|| Box::new(std::array::from_fn(adapted)));
     }
 
-    /// Writes a row of `levels` with noise of their `sigmas`, the same for the same `frame` and
-    /// `row`. `column` is where in the row the levels begin.
+    /// Writes a row of `levels` with noise of their `sigmas`. The noise depends on `frame` and
+    /// `row` alone; `column` is the first column of the levels.
     pub(crate) fn expose(
         &self,
         frame: u64,
@@ -143,7 +143,7 @@ impl ImageSensor {
 
 fn add_noise(levels: &[u8], sigmas: &[u8], noise: &[i8], out: &mut [u8]) {
     for (((out, level), sigma), noise) in out.iter_mut().zip(levels).zip(sigmas).zip(noise) {
-        // At most 127 * 255 + 256: it fits.
+        // No overflow: at most 127 * 255 + 256.
         let change =
             (i16::from(*noise) * i16::from(*sigma) + (1 << (NOISE_SHIFT - 1))) >> NOISE_SHIFT;
         *out = (i16::from(*level) + change).clamp(0, 255) as u8;

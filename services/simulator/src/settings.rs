@@ -1,4 +1,4 @@
-//! The world as the configuration asks for it.
+//! The world for a configuration.
 
 use std::path::Path;
 
@@ -11,8 +11,8 @@ use flockeye_geometry::body::Bodies;
 use crate::parameters::SwarmPlace;
 use crate::{CameraCurve, World, WorldParameters};
 
-/// The world, and the bodies that fly in it. Its painted panorama is kept in `paint_folder` for the
-/// next process.
+/// The world, and its flying bodies. The painted panorama is kept in `paint_folder` for the next
+/// process.
 pub(crate) fn world(
     resolved: &Resolved,
     paint_folder: &Path,
@@ -27,7 +27,7 @@ pub(crate) fn world(
     Ok((world, flying))
 }
 
-/// The bodies that fly: the first of those configured. `None` if none does.
+/// The flying bodies: the first of the configured ones. `None` without neighbours.
 ///
 /// # Errors
 /// Fewer bodies than neighbours, or a file of bodies that cannot be read.
@@ -49,7 +49,7 @@ pub fn flying_bodies(resolved: &Resolved) -> anyhow::Result<Option<Bodies>> {
 /// The parameters of the world.
 ///
 /// # Errors
-/// A response that was not measured, or lenses that no camera has.
+/// A response that was not measured, or an impossible lens.
 pub fn parameters(resolved: &Resolved) -> anyhow::Result<WorldParameters> {
     let (settings, usual) = (&resolved.pipeline.simulator, WorldParameters::default());
     let (transfer, gamma) = resolved.transfer;
@@ -84,7 +84,7 @@ pub fn parameters(resolved: &Resolved) -> anyhow::Result<WorldParameters> {
     })
 }
 
-/// What flies, for people.
+/// A summary of the simulation, for people.
 pub(crate) fn in_words(settings: &Simulator) -> String {
     let Simulator { neighbours, frames_per_second, seed, swarm, .. } = settings;
     let place = swarm.map(|swarm| format!(", drone {} of a swarm", swarm.drone));

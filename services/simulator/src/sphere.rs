@@ -1,8 +1,8 @@
-//! Pixels of the sphere image and the directions they see, as rows of numbers for the renderer.
+//! Directions of the pixels of an equirectangular image, as tables for the renderer.
 
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
-/// The grid of an equirectangular image: what is needed again and again is tabulated.
+/// The grid of an equirectangular image, with tables of sines and cosines.
 #[derive(Debug)]
 pub(crate) struct SphereGrid {
     pub width: usize,
@@ -34,9 +34,8 @@ impl SphereGrid {
         first..end
     }
 
-    /// The one or two runs of columns of `row`, as (first, end), that lie in the circle of `radius`
-    /// radians round a direction: all of them where the circle has a pole in it and the row is near
-    /// that.
+    /// Runs of columns of `row` inside the circle of `radius` radians round a direction: one or
+    /// two, as (first, end). Near a pole inside the circle, they are all columns.
     pub(crate) fn runs_of_circle(
         &self,
         row: usize,
@@ -63,7 +62,7 @@ impl SphereGrid {
         }
     }
 
-    /// `count` columns from `first`, which may lie outside of the image, and counts modulo its width.
+    /// Runs of `count` columns from `first`, which counts modulo the image's width.
     fn runs(&self, first: i64, count: usize) -> impl Iterator<Item = (usize, usize)> + use<> {
         let width = self.width;
         let first = first.rem_euclid(width as i64) as usize;

@@ -1,5 +1,5 @@
-//! The equirectangular image, row by row: the backdrop is turned by whole columns, and most rows
-//! have nothing else.
+//! The equirectangular image, row by row. The backdrop is shifted by whole columns, and most rows
+//! have no other content.
 
 use std::f64::consts::TAU;
 use std::ops::Range;
@@ -17,33 +17,32 @@ use crate::scene::FrameScene;
 use crate::sensor::ImageSensor;
 use crate::sphere::SphereGrid;
 
-/// The grid and all that lies still on it.
+/// The grid, and all parts that are fixed on it.
 #[derive(Debug)]
 pub(crate) struct SpherePicture {
     grid: SphereGrid,
     backdrop: Behind,
     own_airframe: Option<AirframeCover>,
     parts: Vec<SpherePart>,
-    /// Levels and sigmas of a row, in gusts of the whole image: kept from frame to frame for their
-    /// memory alone.
+    /// Levels and sigmas of a row, or of the whole image in gusts: kept between frames to reuse the
+    /// memory.
     levels: Vec<u8>,
     sigmas: Vec<u8>,
 }
 
 #[derive(Debug)]
 enum Behind {
-    /// For a level observer that turns evenly: rows are turned and copied.
+    /// Backdrop of a level observer with constant yaw rate: rows are shifted and copied.
     Calm(Backdrop),
-    /// For one in gusts: pixels are looked up.
+    /// Backdrop of an observer in gusts: pixels are looked up.
     Gusty(CubeBackdrop),
 }
 
-/// What one eye takes of the image.
+/// The part of the image that belongs to one eye.
 #[derive(Debug)]
 struct SpherePart {
     columns: Vec<Range<usize>>,
-    /// Where its half of the sphere begins, if it is half: beyond the plane through the camera
-    /// with this normal.
+    /// Normal of the plane that bounds the eye's hemisphere; `None` for the whole sphere.
     normal: Option<Vector3<f64>>,
 }
 
@@ -58,13 +57,13 @@ impl SpherePart {
                 _ => columns.push(column..column + 1),
             }
         }
-        // The lens sits on the axis that it looks along.
+        // The lens is on its optical axis.
         Self { columns, normal: eye.position_m.try_normalize(0.0) }
     }
 }
 
 impl SpherePicture {
-    /// The image of the world's camera, which is twice as wide as high.
+    /// The image of the world's camera, with aspect 2:1.
     pub(crate) fn new(parameters: &WorldParameters, eyes: &[Eye], sensor: &ImageSensor) -> Self {
         let camera = &parameters.camera;
         let grid = SphereGrid::new(camera.width() as usize, camera.height() as usize);
@@ -84,8 +83,8 @@ impl SpherePicture {
         }
     }
 
-    /// The density, the same everywhere, and how far `direction` lies outside of what the eye
-    /// takes, radians.
+    /// The density, which is constant, and the angle of `direction` outside the eye's part,
+    /// radians.
     pub(crate) fn nearest(&self, eye: usize, direction: &Vector3<f64>) -> (Density, f64) {
         let apart = self.parts[eye]
             .normal
@@ -93,7 +92,7 @@ impl SpherePicture {
         (Density::Even(self.grid.width as f64 / TAU), apart)
     }
 
-    /// Lays the layers over each other, row by row, and adds the noise.
+    /// Composites the layers row by row, and adds noise.
     pub(crate) fn expose(
         &mut self,
         scene: FrameScene<'_>,

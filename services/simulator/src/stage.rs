@@ -1,4 +1,4 @@
-//! The simulator stage: moves what the world draws to the ports.
+//! The simulator stage: publishes the frames that the world draws.
 
 use anyhow::Context as _;
 use flockeye_config::Flow;
@@ -13,8 +13,8 @@ use crate::ahead::{AheadDrawer, DrawnFrame};
 use crate::core::{Action, Core, PictureMessages};
 use crate::settings::{in_words, world};
 
-/// Takes nothing (in a lossless run: plans, as credits); gives frames and their truth, and samples
-/// of an inertial sensor if they are asked for.
+/// Inputs: none, or plans as credits in a lossless run. Outputs: frames and their truth, and
+/// inertial samples if configured.
 pub(crate) struct SimulatorStage {
     frames: Publisher<Frames>,
     truths: Publisher<Truths>,
@@ -26,7 +26,7 @@ pub(crate) struct SimulatorStage {
 }
 
 enum Drawer {
-    /// This stage, when a frame is asked for: a lossless run.
+    /// Drawing in this thread on request, in a lossless run.
     OnDemand(Box<World>),
     Ahead(AheadDrawer),
 }
@@ -98,12 +98,12 @@ impl SimulatorStage {
         let now_ns = clock::monotonic_ns();
         self.counters.add_latency_ns(now_ns - begun_ns);
         let messages = self.core.messages(&truth, None, now_ns);
-        send(loan, &messages, &self.truths, self.imus.as_ref())?;
+        send(&self.frames, loan, &messages, &self.truths, self.imus.as_ref())?;
         self.credits.note_sent(messages.frame.stamp);
         Ok(())
     }
 
-    /// Copies a frame that was drawn ahead, and publishes it at its time.
+    /// Copies a frame that was drawn ahead, and publishes it when it is due.
     fn hand_over(&mut self, drawn: DrawnFrame) -> anyhow::Result<()> {
         let times = drawn.times;
         let mut loan = self.frames.loan(drawn.luma.len())?;
@@ -111,12 +111,12 @@ impl SimulatorStage {
         std::thread::sleep(clock::until(times.handover_ns, clock::monotonic_ns()));
         let exposure_ns = Some(times.exposure_ns);
         let messages = self.core.messages(&drawn.truth, exposure_ns, clock::monotonic_ns());
-        send(loan, &messages, &self.truths, self.imus.as_ref())?;
+        send(&self.frames, loan, &messages, &self.truths, self.imus.as_ref())?;
         self.reuse(drawn);
         Ok(())
     }
 
-    /// Counts a frame that was drawn ahead, and gives its memory back.
+    /// Counts a frame that was drawn ahead, and returns its memory to the drawing thread.
     fn reuse(&mut self, drawn: DrawnFrame) {
         self.counters.add_dropped(drawn.skipped);
         self.counters.add_latency_ns(drawn.took_ns);
@@ -126,10 +126,10 @@ impl SimulatorStage {
     }
 }
 
-/// Sends a frame's messages, the picture last: whoever has a track of it has the truth too, and
-/// egomotion has the samples.
+/// Sends a frame's messages, the picture last: subscribers have its truth and samples before it.
 fn send(
-    loan: Loan<'_, Frames>,
+    frames: &Publisher<Frames>,
+    loan: Loan<Frames>,
     messages: &PictureMessages,
     truths: &Publisher<Truths>,
     imus: Option<&Publisher<Imus>>,
@@ -141,5 +141,5 @@ fn send(
     }
     let (header, bodies) = &messages.truth;
     truths.send(*header, bodies)?;
-    Ok(loan.send(messages.frame)?)
+    Ok(frames.send_loan(loan, messages.frame)?)
 }

@@ -1,28 +1,28 @@
-//! A low sun that shines on the bodies past things that cast shadows.
+//! A low sun on the bodies, with striped shadows.
 //!
-//! Its light comes from one direction, so one side of a body is many times brighter than the other:
-//! a surface that faces it has the light of the hall, and one that it does not reach a share of
-//! that. What stands before it, a fence or the slats of a blind, casts shadows in stripes that
-//! stand still in the world: they cross markers, and their edges lie anywhere on them. Bodies cast
-//! no shadows themselves.
+//! The sun has one direction, so one side of a body is much brighter than the other. A surface
+//! towards the sun has the hall's full light, a surface in shade a share of it. A fence or a blind
+//! casts striped shadows that are fixed in the world: their edges cross markers anywhere. Bodies
+//! cast no shadows.
 
 use flockeye_config::SimulatedSun;
 use nalgebra::{Isometry3, Point3, Vector3};
 
-/// Stripes of sun on what a body shows, in the body's own frame.
+/// Sunlight and its stripes in the frame of one body.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Sunlight {
     towards_sun: Vector3<f64>,
-    /// Across the stripes: a point's place among them is `across.dot(point) + offset`, in stripes.
+    /// Normal of the stripes: the coordinate of a point is `across.dot(point) + offset`, in
+    /// stripes.
     across: Vector3<f64>,
     offset: f64,
     has_stripes: bool,
-    /// Share of a surface's full light that it has without the sun.
+    /// Share of a surface's full light that remains without the sun.
     pub(crate) shade: f64,
 }
 
 impl Sunlight {
-    /// The light of a sun on a body whose pose in the world this is.
+    /// The sunlight on a body with this pose in the world.
     pub(crate) fn on(sun: &SimulatedSun, world_from_body: &Isometry3<f64>) -> Self {
         let (elevation, azimuth) = (sun.elevation_deg.to_radians(), sun.azimuth_deg.to_radians());
         let towards = Vector3::new(
@@ -30,7 +30,7 @@ impl Sunlight {
             elevation.cos() * azimuth.sin(),
             elevation.sin(),
         );
-        // Aslant, so that neither upright nor level edges run along them.
+        // Oblique stripes: neither vertical nor horizontal edges are parallel to them.
         let level = Vector3::new(-azimuth.sin(), azimuth.cos(), 0.0);
         let across = (level + towards.cross(&level)).normalize();
         let body_from_world = world_from_body.rotation.inverse();
@@ -45,10 +45,10 @@ impl Sunlight {
     }
 }
 
-/// Narrower stripes are finer than any picture, metres.
+/// Minimum width of stripes, metres: narrower ones cannot be resolved in pictures.
 const MIN_STRIPES_M: f64 = 0.005;
 
-/// What is wrong with a sun as the configuration asks for it.
+/// The first error in a configured sun, as text.
 pub(crate) fn problem(sun: &SimulatedSun) -> Option<String> {
     let SimulatedSun { ratio, elevation_deg, azimuth_deg, stripes_m } = *sun;
     let rules = [
@@ -67,13 +67,12 @@ pub(crate) fn problem(sun: &SimulatedSun) -> Option<String> {
 }
 
 impl Sunlight {
-    /// Share of its full light that the sun adds to a surface with this normal; 0 if it does not
-    /// reach it.
+    /// Share of full light that the sun adds to a surface with this normal; 0 in shade.
     pub(crate) fn added(&self, normal: &Vector3<f64>) -> f64 {
         (1.0 - self.shade) * normal.dot(&self.towards_sun).max(0.0)
     }
 
-    /// The parts of a convex polygon that the sun reaches.
+    /// The sunlit parts of a convex polygon.
     pub(crate) fn reaches(&self, corners: &[Point3<f64>]) -> Vec<Vec<Point3<f64>>> {
         if !self.has_stripes {
             return vec![corners.to_vec()];
@@ -83,7 +82,7 @@ impl Sunlight {
             .iter()
             .map(place)
             .fold((f64::MAX, f64::MIN), |(low, high), at| (low.min(at), high.max(at)));
-        // Sun from each whole number to the half after it.
+        // Each stripe: sun in its first half, shadow in the second.
         (low.floor() as i64..=high.floor() as i64)
             .map(|stripe| {
                 let (from, to) = (stripe as f64, stripe as f64 + 0.5);
@@ -95,7 +94,7 @@ impl Sunlight {
     }
 }
 
-/// The part of a convex polygon where `inside`, which is linear, is not negative.
+/// The part of a convex polygon where the linear function `inside` is not negative.
 fn clipped(corners: &[Point3<f64>], inside: impl Fn(&Point3<f64>) -> f64) -> Vec<Point3<f64>> {
     let mut kept = Vec::with_capacity(corners.len() + 1);
     for (k, corner) in corners.iter().enumerate() {

@@ -1,4 +1,4 @@
-//! The image of any camera, tile by tile: what each pixel sees is worked out once.
+//! The image of any camera, tile by tile: the directions of all pixels are computed once.
 
 use nalgebra::Vector3;
 
@@ -12,21 +12,21 @@ use crate::scene::FrameScene;
 use crate::sensor::ImageSensor;
 use crate::tiles::{ImageTile, TILE, bands};
 
-/// Pixels of a tile that the own airframe covers: their index, row by row, and how much.
+/// Pixels of a tile covered by the own airframe: index in row order, and coverage.
 type Covered = Vec<(u8, f32)>;
 
-/// The tiles and all that lies still behind and over them.
+/// The tiles, and all parts that are fixed behind and in front of them.
 #[derive(Debug)]
 pub(crate) struct TiledPicture {
     width: usize,
     height: usize,
     bands: Vec<Vec<ImageTile>>,
-    /// In gusts.
+    /// The backdrop in gusts; `None` in calm air, which uses the panoramas.
     cube: Option<CubeBackdrop>,
     panoramas: Panoramas,
     outlooks: Vec<Vec<Outlook>>,
     own_airframe: Vec<Vec<Covered>>,
-    /// Level and sigma of what no eye sees.
+    /// Level and sigma of pixels of no eye.
     black: [u8; 2],
     /// A band's levels and sigmas, in whole tiles.
     levels: Vec<u8>,
@@ -56,8 +56,8 @@ impl TiledPicture {
         }
     }
 
-    /// The density in the eye's tile that is nearest to `direction`, and how far outside of that
-    /// tile it lies, radians; `None` if the eye has no tile.
+    /// The density in the eye's tile nearest to `direction`, and the angle of `direction` outside
+    /// that tile, radians. `None` if the eye has no tile.
     pub(crate) fn nearest(&self, eye: usize, direction: &Vector3<f64>) -> Option<(Density, f64)> {
         let tiles = self.bands.iter().flatten().filter(|tile| tile.eye == eye);
         let nearness = |tile: &ImageTile| tile.axis.dot(direction);
@@ -68,7 +68,7 @@ impl TiledPicture {
         ))
     }
 
-    /// Lays the layers over each other, band by band, and adds the noise.
+    /// Composites the layers band by band, and adds noise.
     pub(crate) fn expose(
         &mut self,
         scene: FrameScene<'_>,

@@ -1,7 +1,6 @@
-//! Pixels of any camera's image and the directions they see, in square tiles.
+//! Square tiles of any camera's image, with the directions of their pixels.
 //!
-//! A tile has a circle on the sphere round all that it sees, so that most tiles can be passed
-//! over at once by whatever is drawn.
+//! Each tile has a bounding circle on the sphere, so that a drawing can skip most tiles.
 
 use std::f64::consts::PI;
 
@@ -15,37 +14,37 @@ use crate::eyes::Eye;
 /// Pixels along a tile's side.
 pub(crate) const TILE: usize = 16;
 
-/// Directions of a row of a tile, along the camera's axes: x, y and z. All 0 where the eye has no
-/// pixel.
+/// Directions of a row of a tile along the camera's axes: x, y and z. All 0 for pixels of other
+/// eyes.
 pub(crate) type RayRow = [[f32; TILE]; 3];
 
-/// What one eye sees in a square of the image.
+/// The pixels of one eye in a square of the image.
 #[derive(Debug)]
 pub(crate) struct ImageTile {
     pub column: usize,
-    /// The eye's index.
+    /// Index of the eye.
     pub eye: usize,
-    /// For each row the pixels that the eye has, the first one in the lowest bit.
+    /// Bit mask of the eye's pixels for each row, the first pixel in the lowest bit.
     pub seen: [u16; TILE],
-    /// For each row what its pixels look at.
+    /// Directions of the pixels for each row.
     pub rays: [RayRow; TILE],
-    /// Middle of a circle round all rays.
+    /// Centre of the bounding circle of all rays.
     pub axis: Vector3<f64>,
-    /// The circle's radius, radians.
+    /// Radius of the bounding circle, radians.
     pub radius: f64,
-    /// How the image lies on the sphere here.
+    /// Pixel density of the image here.
     pub density: Density,
 }
 
 impl ImageTile {
-    /// Columns within row `row` of the tile that the eye has.
+    /// Columns of the eye's pixels in row `row` of the tile.
     pub(crate) fn seen_in(&self, row: usize) -> impl Iterator<Item = usize> {
         let seen = self.seen[row];
         (0..TILE).filter(move |column| seen >> column & 1 == 1)
     }
 }
 
-/// The tiles of an image, by bands of [`TILE`] rows.
+/// The tiles of an image, in bands of [`TILE`] rows.
 pub(crate) fn bands(camera: &Camera, eyes: &[Eye]) -> Vec<Vec<ImageTile>> {
     let across = (camera.width() as usize).div_ceil(TILE);
     let mut bands: Vec<Vec<ImageTile>> = Vec::new();
@@ -76,7 +75,7 @@ fn tile(
         radius: 0.0,
         density: Density::Even(camera.pixels_per_radian()),
     };
-    // Distance from the tile's middle, and the pixel that has the least.
+    // Minimum distance of a pixel from the tile's centre, and that pixel.
     let mut innermost = (f64::INFINITY, SpherePixel::new(0.0, 0.0));
     let mut rays = Vec::with_capacity(TILE * TILE);
     for v in 0..TILE.min(height - row) {
@@ -96,9 +95,9 @@ fn tile(
         }
     }
     let sum: Vector3<f64> = rays.iter().map(|ray| ray.into_inner()).sum();
-    // Rays to all sides have no middle: any will do, with all the sphere round it.
+    // Rays in all directions have no mean: any axis is valid, with the whole sphere as circle.
     tile.axis = sum.try_normalize(1e-6).or_else(|| rays.first().map(|ray| ray.into_inner()))?;
-    // Rays are kept with seven digits.
+    // Tolerance: rays are stored in single precision.
     let reach = rays.iter().map(|ray| ray.angle(&tile.axis)).fold(0.0, f64::max) + 1e-6;
     tile.radius = if sum.norm() < 0.1 { PI } else { reach };
     if !matches!(camera.model(), CameraModel::Equirectangular { .. }) {
@@ -107,14 +106,14 @@ fn tile(
     Some(tile)
 }
 
-/// How the image lies on the sphere at a pixel; `None` where the eye has nothing round it.
+/// Pixel density of the image at a pixel; `None` if the eye has no neighbouring pixels.
 fn local_density(eye: &Eye, pixel: SpherePixel) -> Option<Density> {
     let slope = |across: f64, down: f64| {
         let at = |step: f64| {
             let ray = eye.ray(SpherePixel::new(pixel.0.x + across * step, pixel.0.y + down * step));
             ray.map(|ray| ray.into_inner())
         };
-        // One-sided at the border of an image circle.
+        // One-sided difference at the border of an image circle.
         match (at(-0.5), at(0.5)) {
             (Some(before), Some(after)) => Some(after - before),
             (Some(before), None) => at(0.0).map(|here| (here - before) * 2.0),

@@ -1,4 +1,4 @@
-//! How the bodies fly: smooth closed ways round the observer that never meet.
+//! Paths of the bodies: smooth closed paths round the observer without collisions.
 
 use std::f64::consts::{PI, TAU};
 
@@ -10,14 +10,14 @@ use crate::WorldError;
 use crate::parameters::WorldParameters;
 use crate::scatter::mix;
 
-/// Points on a round at which speeds and clearances are checked.
+/// Points of a round at which speeds and clearances are checked.
 const CHECKS: u32 = 4096;
-/// How many sets of ways are drawn before the bodies are too many for the space.
+/// Limit for the attempts to draw paths without collisions.
 const ATTEMPTS: u32 = 48;
-/// Air between two drones, metres.
+/// Minimum gap between two drones, metres.
 const CLEARANCE_M: f64 = 0.05;
 
-/// A periodic function of the phase, plus whole turns.
+/// A periodic function of the phase, plus a linear term.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Wave {
     mean: f64,
@@ -64,8 +64,8 @@ pub(crate) struct Trajectory {
 }
 
 impl Trajectory {
-    /// Pose of the body's markers in the world, whose origin is the camera: x where the observer
-    /// looked at time 0, z up.
+    /// Pose of the body's markers in the world. Its origin is the camera; x is the observer's
+    /// forward direction at time 0, z is up.
     pub(crate) fn world_from_markers(&self, time_s: f64) -> Isometry3<f64> {
         let phase = self.rate * time_s;
         let rotation = UnitQuaternion::from_euler_angles(
@@ -101,11 +101,11 @@ impl Trajectory {
     }
 }
 
-/// Draws a way for each drone, of the given radii (metres). They share their period, so what is
-/// true of one round is true for ever.
+/// Draws a random path for each drone, of the given radii (metres). All paths have one period, so a
+/// check of one round is sufficient.
 ///
 /// # Errors
-/// Bodies that come too near to the camera, or too many of them for the space.
+/// Too many bodies for the space.
 pub(crate) fn draw(
     parameters: &WorldParameters,
     radii: &[f64],
@@ -113,7 +113,7 @@ pub(crate) fn draw(
     let [near, far] = parameters.distance_m;
     let phases: Vec<f64> = (0..CHECKS).map(|k| f64::from(k) * TAU / f64::from(CHECKS)).collect();
     for attempt in 0..ATTEMPTS {
-        // Each attempt is calmer; the last flies plain circles, evenly spread.
+        // Each attempt has smaller amplitudes; the last has plain circles at equal spacing.
         let liveliness = 1.0 - f64::from(attempt) / f64::from(ATTEMPTS - 1);
         let seed = mix(parameters.seed ^ u64::from(attempt) << 32 ^ 0x7761_7973);
         let mut random = StdRng::seed_from_u64(seed);
@@ -144,7 +144,7 @@ fn draw_once(
             let place = start + k as f64 * TAU / count as f64;
             let mut azimuth = Wave::draw(random, place, 0.35 * liveliness, [3.0, 4.0]);
             azimuth.turns = 2.0 * sense;
-            // From a little above the observer's own legs to nearly overhead.
+            // Range: from slightly above the observer's legs to nearly overhead.
             let elevation = Wave::draw(random, 0.38, 0.95 * liveliness, [3.0, 5.0]);
             let reach = (far - near) / 2.0 * if count == 1 { 1.0 } else { liveliness };
             let distance = Wave::draw(random, (near + far) / 2.0, reach, [2.0, 5.0]);

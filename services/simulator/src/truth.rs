@@ -1,4 +1,4 @@
-//! What is true of a frame: where the bodies are, and how much of them can be seen.
+//! The truth of a frame: poses of the bodies, and visibility of their markers.
 
 use flockeye_geometry::body::Marker;
 use nalgebra::{Isometry3, Point3, Vector3};
@@ -10,7 +10,7 @@ use crate::moment::{Attitude, Moment, Placement};
 use crate::own_airframe;
 use crate::parameters::WorldParameters;
 
-/// Points along each side of a marker's black square that are tried for visibility.
+/// Points along each side of a marker's black square at which visibility is tested.
 const GRID: u32 = 10;
 /// Incidence below which a whole marker makes its body localisable, degrees.
 const LOCALISABLE_DEG: f64 = 65.0;
@@ -20,9 +20,9 @@ const LOCALISABLE_DEG: f64 = 65.0;
 pub struct FrameTruth {
     /// Number of the frame.
     pub frame: u64,
-    /// Middle of its exposure, seconds since frame 0's.
+    /// Middle of the exposure, seconds since the middle of frame 0's exposure.
     pub time_s: f64,
-    /// Length of its exposure, seconds.
+    /// Exposure time, seconds.
     pub exposure_s: f64,
     /// The camera's attitude in the middle of the exposure.
     pub camera: Attitude,
@@ -39,32 +39,32 @@ pub struct TargetTruth {
     pub target: usize,
     /// Pose of the body's markers in the camera frame.
     pub camera_from_markers: Isometry3<f64>,
-    /// Markers of which at least half of the black square is visible. An image circle is a picture
-    /// by itself: a marker counts as it is seen in the better one.
+    /// Number of markers with at least half of the black square visible. Each image circle is one
+    /// picture: the better of two counts.
     pub markers_visible_50: u32,
-    /// Markers of which at least 90 % of the black square is visible.
+    /// Number of markers with at least 90 % of the black square visible.
     pub markers_visible_90: u32,
-    /// Side of the largest marker of those, pixels of the image; 0 without any.
+    /// Side of the largest of these markers, pixels of the image; 0 without any.
     pub best_side_px: f64,
-    /// Length of the motion blur, in pixels as they are in the image where the body is, or at the
-    /// border next to it; 0 farther outside.
+    /// Length of the motion blur, pixels of the image at the body or at the nearest border; 0
+    /// farther outside.
     pub blur_px: f64,
-    /// Whether one of them is seen at less than 65 degrees of incidence. Says nothing about size,
-    /// blur or light.
+    /// Whether one of these markers has an incidence below 65 degrees. Size, blur and light are not
+    /// considered.
     pub localisable: bool,
 }
 
-/// The bodies as one eye sees them: the drone in question, what may hide it, and the image there.
+/// One body as seen by one eye: its pose, the image there, and the drones that may hide it.
 struct EyeView<'a> {
     eye: &'a Eye,
     sight: BodySight,
     hiding: Vec<(&'a DroneShape, Isometry3<f64>)>,
-    /// Softness of the own airframe's edges, radians; `None` without one.
+    /// Width of the own airframe's soft edges, radians; `None` without an airframe.
     own_airframe: Option<f32>,
 }
 
-/// The truth of every body at `moment`, in the order of `drones`. `sights` are, for each body and
-/// eye, where the eye has it in its part of the image.
+/// The truth of every body at `moment`, in the order of `drones`. `sights` has an entry per body
+/// and eye; `None`: the body is not in the eye's part.
 pub(crate) fn targets(
     drones: &[DroneShape],
     moment: &Moment,
@@ -82,8 +82,8 @@ pub(crate) fn targets(
                 .map(|(eye, sight)| view(drones, moment, target, parameters, eye, sight))
                 .collect();
             let exposure_s = parameters.exposure_s;
-            // The eye that has the centre; or, in the strip that no lens of a stitched camera sees,
-            // one that has what lies beside it.
+            // The eye that sees the centre. In the strip that no lens of a stitched camera sees:
+            // the first eye that sees a part.
             let looking = views
                 .iter()
                 .find(|view| view.eye.project(&view.sight.placement.position()).is_some())
@@ -130,7 +130,7 @@ fn view<'a>(
     EyeView { eye, sight: *sight, hiding, own_airframe }
 }
 
-/// Counts a marker as the picture that shows most of it does.
+/// Counts a marker by the picture that shows its largest share.
 fn count_marker(truth: &mut TargetTruth, marker: &Marker, views: &[EyeView<'_>]) {
     let shares: Vec<f64> = views.iter().map(|view| view.visible_share(marker)).collect();
     let pictures = views.iter().zip(&shares);
@@ -153,7 +153,7 @@ fn count_marker(truth: &mut TargetTruth, marker: &Marker, views: &[EyeView<'_>])
     }
 }
 
-/// Whether one drone is near enough to the line of sight to another one, and before it.
+/// Whether one drone may hide another: it is nearer, and close to the line of sight.
 fn may_hide(
     (one, placed): (&DroneShape, &Placement),
     (other, other_placed): (&DroneShape, &Placement),
@@ -165,12 +165,12 @@ fn may_hide(
 }
 
 impl EyeView<'_> {
-    /// Pose of the body's markers as the eye sees it, along the camera's axes.
+    /// Pose of the body's markers relative to the eye, along the camera's axes.
     fn pose(&self) -> &Isometry3<f64> {
         &self.sight.placement.camera_from_markers
     }
 
-    /// Angle between the marker's normal and the way to the eye.
+    /// Angle between the marker's normal and the direction to the eye.
     fn incidence_deg(&self, marker: &Marker) -> f64 {
         let towards_eye = -(self.pose() * marker.centre()).coords;
         (self.pose().rotation * marker.normal()).angle(&towards_eye).to_degrees()
@@ -181,14 +181,14 @@ impl EyeView<'_> {
         let corners = marker.corners.map(|corner| (self.pose() * corner).coords);
         let sides = (0..4).map(|k| (corners[k], corners[(k + 1) % 4]));
         match self.sight.density {
-            // Columns are narrower off the equator; angles are not.
+            // Off the equator, columns are compressed; angles are not.
             Density::Even(focal) => sides.map(|(a, b)| a.angle(&b)).sum::<f64>() / 4.0 * focal,
             Density::Local(_) => {
                 let length = |a: &Vector3<f64>, b: &Vector3<f64>| {
                     let [a, b] = [self.eye.project(a)?, self.eye.project(b)?];
                     Some((a.0 - b.0).norm())
                 };
-                // A corner may lie just beyond the circle.
+                // A corner may be just outside the circle.
                 let angle = |a: &Vector3<f64>, b: &Vector3<f64>| {
                     a.angle(b) * self.sight.density.pixels_per_radian()
                 };
@@ -198,7 +198,7 @@ impl EyeView<'_> {
         }
     }
 
-    /// Share of a marker's square that the eye has in its part of the image and nothing hides.
+    /// Share of a marker's square that is in the eye's part of the image and not hidden.
     fn visible_share(&self, marker: &Marker) -> f64 {
         if self.incidence_deg(marker) >= 90.0 {
             return 0.0;
@@ -210,7 +210,7 @@ impl EyeView<'_> {
         points.filter(|point| self.shows(point)).count() as f64 / f64::from(GRID * GRID)
     }
 
-    /// Whether a point, as the eye sees it, is in its part of the image and before everything.
+    /// Whether a point relative to the eye is in the eye's part of the image and not hidden.
     fn shows(&self, point: &Point3<f64>) -> bool {
         let behind_own = self.own_airframe.is_some_and(|softness| {
             let longitude = point.y.atan2(point.x) as f32;

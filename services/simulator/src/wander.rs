@@ -1,4 +1,4 @@
-//! Where the drones of a swarm fly: each near its own place on a ring, the same whoever looks.
+//! Paths of the drones of a swarm: each near its place on a ring, equal for all observers.
 
 use std::f64::consts::{PI, TAU};
 
@@ -10,39 +10,39 @@ use crate::parameters::WorldParameters;
 use crate::scatter::mix;
 use crate::trajectory::Wave;
 
-/// Multiples of its round in which a drone swings.
+/// Harmonics of a drone's motion.
 const HARMONICS: [f64; 2] = [2.0, 5.0];
-/// Share of the greatest speed at which a drone flies: two that fly against each other have twice
-/// that.
+/// Share of the maximum speed at which a drone flies. Two drones that meet have twice that relative
+/// speed.
 const PACE: f64 = 0.25;
 
-/// A drone's way near its place on the ring.
+/// Path of a drone near its place on the ring.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Wander {
     place: Vector3<f64>,
     axes: [Wave; 3],
     /// Phase gained in a second, radians.
     rate: f64,
-    /// Its yaw at time 0, radians.
+    /// Yaw at time 0, radians.
     pub(crate) start_yaw: f64,
-    /// Sense of the turn: to the left (1) or to the right (-1).
+    /// Sense of the rotation: left (1) or right (-1).
     pub(crate) sense: f64,
 }
 
 impl Wander {
-    /// That of drone `drone` of `drones`. Those side by side on the ring stay as far from each
-    /// other as `distance_m` says, all others farther.
+    /// The path of drone `drone` of `drones`. Neighbours on the ring keep a distance in the range
+    /// `distance_m`; other drones are farther apart.
     pub(crate) fn draw(parameters: &WorldParameters, drone: u32, drones: u32) -> Self {
         let seed = mix(parameters.seed ^ mix(u64::from(drone) ^ 0x7761_6e64));
         let mut random = StdRng::seed_from_u64(seed);
         let [near, far] = parameters.distance_m;
         let radius = (near + far) / 4.0 / (PI / f64::from(drones)).sin();
         let azimuth = TAU * f64::from(drone) / f64::from(drones);
-        // Two of these lie between near and far, along any direction.
+        // Twice this amplitude fits between near and far, in any direction.
         let reach = (far - near) / 4.0;
         let mut axis = || Wave::draw(&mut random, 0.0, reach / 3f64.sqrt(), HARMONICS);
         let axes = [axis(), axis(), axis()];
-        // No wave changes faster than its amplitude times its faster harmonic.
+        // Bound: the slope of a wave is at most its amplitude times its faster harmonic.
         let rate = PACE * parameters.speed_m_s / (reach * HARMONICS[1]).max(f64::MIN_POSITIVE);
         Self {
             place: Vector3::new(azimuth.cos(), azimuth.sin(), 0.0) * radius,

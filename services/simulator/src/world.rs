@@ -1,4 +1,4 @@
-//! The world: made once, then asked for frames.
+//! The simulated world: built once, then rendered frame by frame.
 
 use flockeye_dictionary::Dictionary;
 use flockeye_geometry::body::Bodies;
@@ -19,7 +19,7 @@ use crate::sensor::ImageSensor;
 use crate::trajectory::{self, Trajectory};
 use crate::truth::{self, FrameTruth};
 
-/// Least distance of a drone that can be drawn, in its radii.
+/// Minimum distance at which a drone can be drawn, in radii of the drone.
 const LEAST_DISTANCE: f64 = 1.2;
 
 /// A synthetic world, seen by a spherical camera at its origin.
@@ -28,34 +28,34 @@ pub struct World {
     parameters: WorldParameters,
     drones: Vec<DroneShape>,
     ways: Ways,
-    /// How the camera moves.
+    /// Motion of the camera.
     pub(crate) motion: DroneMotion,
     sensor: ImageSensor,
     eyes: Vec<Eye>,
     picture: CameraPicture,
-    /// For each body one for each eye: kept from frame to frame for their memory alone.
+    /// Drawings of each body for each eye: kept between frames to reuse their memory.
     drawings: Vec<DroneDrawing>,
 }
 
 #[derive(Debug)]
 enum Ways {
-    /// Round the observer.
+    /// Paths round the observer.
     Around {
         trajectories: Vec<Trajectory>,
-        /// On each drone; none in calm air.
+        /// Gusts on each drone; empty in calm air.
         gusts: Vec<Gusts>,
     },
-    /// As drones of the observer's swarm: how each moves, and where its markers sit on it.
+    /// Drones of the observer's swarm: motion of each, and pose of its markers on it.
     Swarm(Vec<(DroneMotion, Isometry3<f64>)>),
 }
 
 impl World {
-    /// Makes the world: draws the bodies' ways and paints the panorama, which takes a second
-    /// or two at 3840x1920.
+    /// Builds the world: draws random paths and paints the panorama, which takes 1 to 2 s at
+    /// 3840x1920.
     ///
     /// # Errors
     /// [`WorldError`]: parameters out of range, markers beyond the dictionary, bodies that are not
-    /// convex or cannot keep apart.
+    /// convex or would collide.
     pub fn new(
         parameters: WorldParameters,
         bodies: &Bodies,
@@ -75,12 +75,12 @@ impl World {
         Self::with_drones(parameters, drones, &markers)
     }
 
-    /// A world in which nobody flies: for what must find nothing.
+    /// A world without bodies, for tests in which nothing may be detected.
     pub fn empty(parameters: WorldParameters) -> Result<Self, WorldError> {
         Self::with_drones(parameters, Vec::new(), &[])
     }
 
-    /// `drones_from_markers` are the places of each body's markers on its drone.
+    /// `drones_from_markers` are the poses of the bodies' markers on their drones.
     fn with_drones(
         parameters: WorldParameters,
         drones: Vec<DroneShape>,
@@ -99,7 +99,7 @@ impl World {
         let eyes = Eye::all(&parameters.camera);
         let near = parameters.distance_m[0];
         let [tilt, swing] = [parameters.tilt_deg, parameters.yaw_swing_deg_s].map(f64::to_radians);
-        // Gusts bring both drones out of their places.
+        // Gusts displace both drones.
         let aside = eyes.iter().map(|eye| eye.position_m.norm()).fold(0.0, f64::max)
             + 2.0 * Gusts::reach_m(tilt);
         if let Some(drone) = drones.iter().find(|drone| near < least_distance(drone) + aside) {
@@ -139,12 +139,12 @@ impl World {
         })
     }
 
-    /// What the world was made from.
+    /// Parameters of this world.
     pub fn parameters(&self) -> &WorldParameters {
         &self.parameters
     }
 
-    /// Where everything is at a time, seconds since the middle of frame 0's exposure.
+    /// Camera and bodies at a time, seconds since the middle of frame 0's exposure.
     pub fn moment(&self, time_s: f64) -> Moment {
         match &self.ways {
             Ways::Around { trajectories, .. } if self.parameters.is_calm() => {
@@ -159,7 +159,7 @@ impl World {
         let camera_from_world = camera.world_from_camera.inverse();
         let place = |way: &Trajectory| {
             let camera_from_markers = camera_from_world * way.world_from_markers(time_s);
-            // In a turning frame everything turns the other way.
+            // In a rotating frame, points have an additional velocity in the opposite sense.
             let velocity_in_camera = camera_from_world * way.velocity(time_s)
                 - camera.rate_in_camera.cross(&camera_from_markers.translation.vector);
             Placement { camera_from_markers, velocity_in_camera }
@@ -167,13 +167,13 @@ impl World {
         Moment { time_s, camera, placements: trajectories.iter().map(place).collect() }
     }
 
-    /// The backdrop of an observer that does not stay in its place.
+    /// The moment for an observer in gusts, in a swarm, or with a rolling shutter.
     fn moving_moment(&self, time_s: f64) -> Moment {
         let camera = self.motion.attitude(time_s);
         let height = f64::from(self.parameters.camera.height());
         let place = |target: usize| {
             let seen = |time_s: f64| self.camera_from_markers(target, time_s);
-            // Its rows are exposed a little before or after the middle one.
+            // Rolling shutter: the body's rows are exposed before or after the middle row.
             let middle = Unit::new_normalize(seen(time_s).translation.vector);
             let share = self.parameters.camera.project(&middle).map_or(0.5, |at| at.0.y / height);
             let at_s = time_s + (share - 0.5) * self.parameters.readout_s;
@@ -202,9 +202,9 @@ impl World {
         self.motion.world_from_camera(time_s).inverse() * world_from_markers
     }
 
-    /// Writes the luma plane of a frame (8 bit, the parameters' curve, full range) and returns what
-    /// is true of it. Rows lie `stride` bytes apart; what lies between them is left alone, and
-    /// every pixel is written once.
+    /// Writes the luma plane of a frame (8 bit, the parameters' curve, full range) and returns its
+    /// truth. Rows are `stride` bytes apart. Bytes between rows stay unchanged, and every pixel is
+    /// written once.
     pub fn render(
         &mut self,
         frame: u64,
@@ -214,8 +214,8 @@ impl World {
         let time_s = self.parameters.time_of(frame);
         let moment = self.moment(time_s);
         let mut truth = self.render_moment(frame, &moment, luma, stride)?;
-        // The truth of a frame is that of the middle of its exposure, whenever a body's rows were
-        // exposed.
+        // The truth of a frame refers to the middle of its exposure, not to the exposure of a
+        // body's rows.
         if self.parameters.readout_s > 0.0 {
             for body in &mut truth.bodies {
                 body.camera_from_markers = self.camera_from_markers(body.target, time_s);
@@ -224,7 +224,7 @@ impl World {
         Ok(truth)
     }
 
-    /// As [`World::render`], with everything at its place in `moment`. `frame` chooses the noise.
+    /// Like [`World::render`], with camera and bodies as in `moment`. `frame` seeds the noise.
     pub fn render_moment(
         &mut self,
         frame: u64,
@@ -249,7 +249,7 @@ impl World {
                 layers.push((placement.position().norm(), (eye, &*drawing)));
             }
         }
-        // Farthest first: what is nearer hides it.
+        // Farthest first: nearer drawings cover it.
         layers.sort_by(|(a, _), (b, _)| b.total_cmp(a));
         let layers: Vec<(usize, &DroneDrawing)> =
             layers.into_iter().map(|(_, layer)| layer).collect();
@@ -307,7 +307,7 @@ impl World {
     }
 }
 
-/// A pose in the world as gusts make it.
+/// The pose in the world with the effect of gusts.
 fn in_gusts(steady: &Isometry3<f64>, gusts: &Gusts, time_s: f64) -> Isometry3<f64> {
     let sway = gusts.sway(time_s);
     let yaw = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), gusts.yaw(time_s));

@@ -13,13 +13,13 @@ pub struct Audience {
 }
 
 impl Audience {
-    /// What somebody wants to see.
+    /// The union of all pages' and clients' demands.
     pub fn wanted(&self) -> Demand {
         let wanted = self.foxglove.as_ref().map(FoxgloveView::wanted).unwrap_or_default();
         self.pages.wanted().or(wanted)
     }
 
-    /// Whether somebody can take a picture or a close-up now.
+    /// Whether a page or client can take a picture or a close-up now.
     pub fn takes_pictures(&self, wanted: Demand) -> bool {
         let takes =
             |foxglove: &FoxgloveView| foxglove.wanted().pictures || foxglove.wanted().closeups;
@@ -27,7 +27,7 @@ impl Audience {
             && (self.pages.takes_pictures() || self.foxglove.as_ref().is_some_and(takes))
     }
 
-    /// Tells Foxglove's clients something, where they are served.
+    /// Calls `tell` with Foxglove's clients, where they are served.
     pub fn to_foxglove(&self, tell: impl FnOnce(&FoxgloveView)) {
         if let Some(foxglove) = &self.foxglove {
             tell(foxglove);

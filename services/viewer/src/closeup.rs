@@ -1,4 +1,4 @@
-//! A neighbour as alignment sees it: the picture, the model at the published pose, and what is left
+//! A neighbour as in alignment: the picture, the model at the published pose, and the residual
 //! between them.
 
 use anyhow::Context as _;
@@ -28,7 +28,7 @@ pub struct CloseupMaker {
 }
 
 impl CloseupMaker {
-    /// For neighbours with these bodies.
+    /// A maker for the neighbours' bodies of this configuration.
     ///
     /// # Errors
     /// The dictionary cannot be read, a body cannot be drawn, or the camera's curve does not rise.
@@ -46,11 +46,11 @@ impl CloseupMaker {
         })
     }
 
-    /// The close-up of a track's neighbour in the frame that the track is of; with its head the
-    /// JPEG. `None` where there is nothing to see, as of a pose inside the camera.
+    /// The close-up of a track's neighbour in the track's frame: its head and the JPEG. `None`
+    /// where there is nothing to see, for example for a pose inside the camera.
     ///
     /// # Errors
-    /// The frame is not as its header says, or its curve is unknown.
+    /// The frame does not match its header, or its response curve is unknown.
     pub fn closeup(
         &mut self,
         header: &FrameHeader,
@@ -62,7 +62,7 @@ impl CloseupMaker {
         let (Some(body), Some(print)) = (self.bodies.get(target), self.prints.get(target)) else {
             return Ok(None);
         };
-        // What this frame says; between measurements, what is predicted.
+        // The measurement of this frame; between measurements the prediction.
         let observer_from_target = match MeasuredBy::try_from(track.measured_by) {
             Ok(MeasuredBy::Aligned | MeasuredBy::Decoded) => {
                 isometry(&track.measured_observer_from_target)
@@ -71,7 +71,7 @@ impl CloseupMaker {
         };
         let camera_from_markers =
             self.observer_from_camera.inverse() * observer_from_target * body.target_from_markers;
-        // The view that a plan would ask for, were the pose known for certain.
+        // The view that a plan would request, if the pose were exact.
         let seen = PredictedNeighbour::from_pose(
             target,
             body,
@@ -116,7 +116,7 @@ impl CloseupMaker {
                 let jpeg = gray_jpeg(&shown.panels(light), 3 * width, height)?;
                 Ok(Some((head([width as u32, height as u32], 3, Some(score)), jpeg)))
             }
-            // Too far or hidden: the picture alone.
+            // A body that is too far or hidden is shown without the model.
             Err(_) => {
                 let jpeg = gray_jpeg(&cut, side, side)?;
                 Ok(Some((head([view.size_px; 2], 1, None), jpeg)))

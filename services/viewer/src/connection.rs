@@ -1,4 +1,4 @@
-//! One connection: a request that is answered, or a page's socket.
+//! One connection: a request with its answer, or a page's socket.
 
 use std::io::{self, Read, Write};
 use std::net::{Shutdown, TcpStream};
@@ -16,21 +16,21 @@ use crate::pages::{OpenPage, Pages};
 use crate::remote::{Move, Remote};
 use crate::request::{Access, HttpAnswer, HttpRefusal, MAX_HEAD, answer};
 
-/// A request must have come in this time.
+/// Timeout of a request.
 const REQUEST_TIME: Duration = Duration::from_secs(5);
-/// An answer must have gone in this time.
+/// Timeout of an answer.
 const ANSWER_TIME: Duration = Duration::from_secs(5);
-/// A page that takes nothing for this long is closed.
+/// Timeout after which a page that reads nothing is closed.
 const STALLED: Duration = Duration::from_secs(20);
-/// What a refused browser still sends is read for so long, so that it reads the answer.
+/// Time for which the rest of a refused request is read, so that the browser reads the answer.
 const LINGER: Duration = Duration::from_millis(200);
-/// Longest message of a page, bytes.
+/// Maximum length of a page's message, bytes.
 const MAX_COMMAND: usize = 1024;
 
 #[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
 #[serde(rename_all = "snake_case")]
 enum Command {
-    /// The page wants pictures, or none: a hidden page wants none.
+    /// Whether the page requests pictures: a hidden page does not.
     Pictures(bool),
     /// The page has shown or dropped this many further pictures.
     Shown(u32),
@@ -43,7 +43,7 @@ enum Command {
 }
 
 impl Command {
-    /// What it asks a player for.
+    /// The request to the player; none for the other commands.
     fn wish(self) -> Option<Move> {
         match self {
             Self::Seek(to_s) => Some(Move::Seek(to_s)),
@@ -54,7 +54,8 @@ impl Command {
     }
 }
 
-/// Serves a connection until it ends. What goes wrong with it is the other end's trouble.
+/// Serves a connection until it ends. Its errors concern only the other end, so they go to the
+/// debug log.
 pub fn serve(mut stream: TcpStream, access: &Access, pages: &Pages, explainer: &Explainer) {
     if let Err(error) = try_serve(&mut stream, access, pages, explainer) {
         tracing::debug!("a connection ended: {error}");
@@ -90,7 +91,7 @@ fn try_serve(
     }
 }
 
-/// Reads a request, and what has come behind it.
+/// Reads a request, and the bytes behind it that have arrived.
 fn read_request(stream: &mut TcpStream, access: &Access) -> io::Result<(HttpAnswer, Vec<u8>)> {
     let deadline = Instant::now() + REQUEST_TIME;
     let mut bytes = Vec::new();
@@ -117,7 +118,7 @@ fn read_request(stream: &mut TcpStream, access: &Access) -> io::Result<(HttpAnsw
 fn refuse(stream: &mut TcpStream, refusal: HttpRefusal) -> io::Result<()> {
     let text = format!("{refusal}\n");
     send(stream, refusal.status(), "text/plain; charset=utf-8", text.as_bytes(), true)?;
-    // Bytes that are not read would reset the connection, and the answer with it.
+    // Unread bytes would reset the connection, and the answer would be lost.
     stream.shutdown(Shutdown::Write)?;
     stream.set_read_timeout(Some(LINGER))?;
     let start = Instant::now();
@@ -126,8 +127,8 @@ fn refuse(stream: &mut TcpStream, refusal: HttpRefusal) -> io::Result<()> {
     Ok(())
 }
 
-/// Answers with the length of the text (4 bytes, little endian), the text, and the picture; or says
-/// why not.
+/// Answers with the length of the text (4 bytes, little endian), the text, and the picture. Without
+/// an explanation it answers with the reason.
 fn explain(
     stream: &mut TcpStream,
     explainer: &Explainer,
@@ -188,7 +189,7 @@ fn open_socket(
         .read_buffer_size(4096);
     let mut socket = WebSocket::from_partially_read(&mut *stream, rest, Role::Server, Some(limits));
     match talk(&mut socket, page, pages) {
-        // A browser that went away.
+        // The browser has closed the page.
         Err(Error::ConnectionClosed | Error::AlreadyClosed) => Ok(()),
         Err(Error::Io(error)) => Err(error),
         Err(error) => Err(io::Error::other(error)),
@@ -196,7 +197,8 @@ fn open_socket(
     }
 }
 
-/// Sends what waits for the page and hears it, until one of the two ends it.
+/// Sends the page's waiting messages and reads its commands, until one of the two ends the
+/// connection.
 fn talk(
     socket: &mut WebSocket<&mut TcpStream>,
     page: &OpenPage,
@@ -212,7 +214,7 @@ fn talk(
         while unsent_since.is_none()
             && let Some(message) = page.outbox(|outbox| outbox.take())
         {
-            // What the system does not take now is kept in the socket's own buffer.
+            // Bytes that the system does not accept now stay in the socket's own buffer.
             let is_written = is_sent(socket.write(message))?;
             if !(is_written && is_sent(socket.flush())?) {
                 unsent_since = Some(Instant::now());
@@ -237,7 +239,7 @@ fn talk(
     }
 }
 
-/// Whether all was sent; false where the system takes no more now.
+/// Whether all bytes were sent; false where the system accepts no more now.
 fn is_sent(outcome: Result<(), Error>) -> Result<bool, Error> {
     match outcome {
         Ok(()) => Ok(true),
@@ -246,7 +248,7 @@ fn is_sent(outcome: Result<(), Error>) -> Result<bool, Error> {
     }
 }
 
-/// Takes what the page says.
+/// Reads the page's commands.
 fn hear(
     socket: &mut WebSocket<&mut TcpStream>,
     page: &OpenPage,
@@ -280,7 +282,7 @@ fn hear(
     }
 }
 
-/// Closes the socket of a page that says something else.
+/// Closes the socket of a page that sends anything else.
 fn close_on(socket: &mut WebSocket<&mut TcpStream>) -> Result<(), Error> {
     let reason = "a page says nothing else than docs/RECORDING.md has".into();
     is_sent(socket.close(Some(CloseFrame { code: CloseCode::Policy, reason })))?;

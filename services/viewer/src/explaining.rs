@@ -1,7 +1,7 @@
-//! Why this pose, or why none: `flockeye explain` for a page that asks.
+//! The explanation of a pose, or of a missing one: `flockeye explain` on request of a page.
 //!
-//! A process of its own works the answer out from the recording that is shown, or from the one that
-//! is being written. It replays the flight up to the frame, so one answer is made at a time.
+//! A separate process computes the answer from the recording that is shown, or from the one that is
+//! being written. It replays the flight up to the frame, so only one answer is computed at a time.
 
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
@@ -16,24 +16,24 @@ use flockeye_runtime::instance::Instance;
 use flockeye_runtime::recorders;
 
 const PROGRAM: &str = "flockeye-replay";
-/// An answer takes so long at most. A long flight is replayed faster than it was flown.
+/// Timeout of an answer. A long flight is replayed faster than it was flown.
 const PATIENCE: Duration = Duration::from_secs(300);
-/// What a recorder has received is in its file by then.
+/// Time after which a recorder has written all that it has received.
 const UNTIL_WRITTEN: Duration = Duration::from_millis(1500);
-/// How often it is looked whether the answer is there.
+/// Period of the check whether the answer is ready.
 const LOOK_PERIOD: Duration = Duration::from_millis(20);
 
-/// What a page asks: why this frame has this pose of a neighbour, or none.
+/// A page's question: why does this frame have this pose of a neighbour, or none?
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct PoseQuestion {
     /// The name of the neighbour's body.
     target: String,
-    /// The frame, as [`crate::wire::key`] names it.
+    /// The frame's key ([`crate::wire::key`]).
     frame: String,
 }
 
 impl PoseQuestion {
-    /// Reads `target=NAME&frame=KEY`. `None`: it is none.
+    /// Reads `target=NAME&frame=KEY`. `None`: the query is not such a question.
     pub fn of_query(query: &str) -> Option<Self> {
         let value = |name: &str| {
             let mut pairs = query.split('&').filter_map(|pair| pair.split_once('='));
@@ -70,12 +70,12 @@ impl From<io::Error> for NoExplanation {
     }
 }
 
-/// From which recording answers are worked out.
+/// The recording from which answers are computed.
 #[derive(Debug)]
 enum AnswerSource {
-    /// The one that is shown.
+    /// The recording that is shown.
     File(PathBuf),
-    /// The one that is written of this running pipeline.
+    /// The recording that is being written of this running pipeline.
     Pipeline(Instance),
 }
 
@@ -94,8 +94,8 @@ impl Explainer {
         Self { source: AnswerSource::Pipeline(instance), turn: Mutex::new(()) }
     }
 
-    /// Answers with lines for people, and what was seen there as PNG, empty where there is nothing
-    /// to draw. It takes as long as the flight is replayed.
+    /// Answers with a text for people, and a PNG of the neighbour in the frame. The PNG is empty
+    /// where there is nothing to draw. It takes as long as the replay of the flight.
     pub fn answer(&self, question: &PoseQuestion) -> Result<(String, Vec<u8>), NoExplanation> {
         let _turn = match self.turn.try_lock() {
             Ok(turn) => turn,
@@ -109,7 +109,7 @@ impl Explainer {
             AnswerSource::Pipeline(instance) => {
                 let recording = recorders::recording(instance).ok_or(NoExplanation::NotRecorded)?;
                 match run(&program, &recording, question) {
-                    // The frame may be so new that it is not in the file yet.
+                    // The frame may be too new to be in the file yet.
                     Err(NoExplanation::Refused(_)) => {
                         thread::sleep(UNTIL_WRITTEN);
                         run(&program, &recording, question)
@@ -129,24 +129,24 @@ fn run(
     let image = tempfile::Builder::new().prefix("flockeye-").suffix(".png").tempfile()?;
     let mut command = Command::new(program);
     command.arg("explain").arg(recording);
-    // A name may begin like an option.
+    // A name may begin with '-', like an option.
     command.arg(format!("--target={}", question.target));
     command.args(["--frame", &question.frame, "--image"]).arg(image.path());
     command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
     let mut child = command.spawn()?;
-    // Each is read by its own thread: a full pipe would stop the program.
+    // Each pipe is read by its own thread, because a full pipe would block the program.
     let (told, complaint) = (reader(child.stdout.take()), reader(child.stderr.take()));
     let has_ended = wait(&mut child)?;
     let (text, complaint) = (read(told), read(complaint));
     match has_ended {
         false => Err(NoExplanation::TooSlow),
         true if text.is_empty() => Err(NoExplanation::Refused(last_line(&complaint).to_owned())),
-        // The file stays empty where there was nothing to draw.
+        // The file stays empty where there is nothing to draw.
         true => Ok((text, std::fs::read(image.path())?)),
     }
 }
 
-/// Waits until the program ends, or kills it when it takes too long. Whether it ended by itself.
+/// Waits until the program ends, or kills it after the timeout. Returns whether it ended by itself.
 fn wait(child: &mut Child) -> io::Result<bool> {
     let start = Instant::now();
     loop {
@@ -166,7 +166,7 @@ fn reader(pipe: Option<impl Read + Send + 'static>) -> Option<thread::JoinHandle
     let mut pipe = pipe?;
     Some(thread::spawn(move || {
         let mut text = Vec::new();
-        // What has come before it fails counts.
+        // Text before a failure counts.
         let _ = pipe.read_to_end(&mut text);
         String::from_utf8_lossy(&text).into_owned()
     }))
@@ -176,7 +176,7 @@ fn read(reader: Option<thread::JoinHandle<String>>) -> String {
     reader.and_then(|reader| reader.join().ok()).unwrap_or_default()
 }
 
-/// The program's log may stand before its complaint.
+/// The last line of the program's error output: its log may come before the error.
 fn last_line(complaint: &str) -> &str {
     complaint.trim().lines().last().unwrap_or("the program gave no answer and no reason")
 }

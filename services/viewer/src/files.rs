@@ -1,4 +1,4 @@
-//! The page itself: files that this program carries. Nothing else is ever served.
+//! The page itself: files that are compiled into this program. Nothing else is ever served.
 
 #[derive(Debug, PartialEq, Eq)]
 pub struct PageFile {
@@ -8,13 +8,13 @@ pub struct PageFile {
     pub content: &'static [u8],
 }
 
-/// What a browser may do with the page: nothing from elsewhere, nothing inline.
+/// The page's content security policy: nothing from elsewhere, nothing inline.
 pub const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; \
      connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
 
 macro_rules! files {
     ($($path:literal => $media_type:literal, $file:literal;)+) => {
-        /// All of them.
+        /// All files of the page.
         pub const FILES: &[PageFile] = &[$(PageFile {
             path: $path,
             media_type: $media_type,

@@ -1,8 +1,8 @@
-//! The page's scene for Foxglove and Lichtblick, over Foxglove's WebSocket protocol, with the
-//! panels and plots of these programs.
+//! The page's scene for Foxglove and Lichtblick, over Foxglove's WebSocket protocol, for their own
+//! panels and plots.
 //!
-//! The crate `foxglove` speaks the protocol, in threads of its own. A client that is slow loses its
-//! oldest messages. Pictures are made while somebody has subscribed to them, and so are close-ups.
+//! The crate `foxglove` implements the protocol, in threads of its own. A slow client loses its
+//! oldest messages. Pictures and close-ups are made only while a client has subscribed to them.
 //!
 //! | topic | schema |
 //! | --- | --- |
@@ -40,10 +40,10 @@ use crate::scene::EndedFrame;
 use crate::wire::ProcessReport;
 use values::{CAMERA, OBSERVER, pose, timestamp};
 
-/// Messages that wait for a slow client at most.
+/// Maximum messages that wait for a slow client.
 const BACKLOG: usize = 64;
 
-/// The channels of the pipeline that is followed, of a server of Foxglove's.
+/// Channels of a Foxglove server for the pipeline or recording that is shown.
 pub struct FoxgloveView {
     context: Arc<Context>,
     resolved: Resolved,
@@ -57,28 +57,28 @@ pub struct FoxgloveView {
     closeups: Vec<Channel<CompressedImage>>,
     frames: Arc<RawChannel>,
     stages: Arc<RawChannel>,
-    /// What is to be added to the exposures' clock to give nanoseconds since 1970.
+    /// UTC less the exposures' clock, nanoseconds.
     unix_from_exposure_ns: i64,
-    /// Time of a recording that is shown, nanoseconds since 1970.
+    /// Current time of the recording that is shown, nanoseconds since 1970.
     recorded_ns: Option<i64>,
 }
 
 impl FoxgloveView {
     /// Advertises the channels of a pipeline and listens at `address`, in threads that end with the
-    /// process. Returns the port, too.
+    /// process. Returns the view and the port.
     ///
     /// # Errors
-    /// The pipeline's configuration cannot be read; the address is taken or not this machine's.
+    /// The pipeline's configuration cannot be read, or the address is in use or not this machine's.
     pub fn start(address: SocketAddr, instance: &Instance) -> anyhow::Result<(Self, u16)> {
         let resolved = Resolved::of(instance.pipeline()?)?;
         let (view, server) = Self::serve(address, instance.name(), &resolved, |server| server)?;
         Ok((view, server.port()))
     }
 
-    /// Serves a configuration. `more` holds further settings of the server.
+    /// Serves a configuration. `more` adds further settings of the server.
     ///
     /// # Errors
-    /// A channel cannot be made; the address is taken or not this machine's.
+    /// A channel cannot be made, or the address is in use or not this machine's.
     pub fn serve(
         address: SocketAddr,
         name: &str,
@@ -86,7 +86,8 @@ impl FoxgloveView {
         more: impl FnOnce(WebSocketServer) -> WebSocketServer,
     ) -> anyhow::Result<(Self, WebSocketServerHandle)> {
         let context = Context::new();
-        // First, because a client that subscribes to a channel while it is made may be refused.
+        // The channels come first, because a client that subscribes to an unfinished channel may be
+        // refused.
         let view = Self::new(context.clone(), resolved)?;
         let server = WebSocketServer::new()
             .context(&context)
@@ -121,7 +122,7 @@ impl FoxgloveView {
                 .collect(),
             frames: json("/frames")?,
             stages: json("/stages")?,
-            // A lossless run has the recording's own time.
+            // Exposures of a lossless run have the recording's own clock.
             unix_from_exposure_ns: if is_real_time { unix_ns - clock::monotonic_ns() } else { 0 },
             recorded_ns: None,
             context,
@@ -153,7 +154,7 @@ impl FoxgloveView {
         self.stages.close();
     }
 
-    /// What the clients have subscribed to.
+    /// The clients' subscriptions.
     pub fn wanted(&self) -> Demand {
         let pictures = self.sphere.has_sinks() || self.annotations.has_sinks();
         let closeups = self.closeups.iter().any(Channel::has_sinks);
@@ -167,7 +168,7 @@ impl FoxgloveView {
         Demand { anything, pictures, closeups }
     }
 
-    /// Sends what is known of a frame.
+    /// Sends the tracks and the message of a frame.
     pub fn frame(&self, ended: &EndedFrame) {
         let (at, stamped) = self.time(&ended.stamp);
         let tracks = &ended.tracks;
@@ -188,7 +189,8 @@ impl FoxgloveView {
         }
     }
 
-    /// Sends a frame's picture with its annotations, where it has ended. `size`: its sides, pixels.
+    /// Sends a frame's picture, with its annotations if it has ended. `size`: width and height,
+    /// pixels.
     pub fn picture(
         &self,
         stamp: &FrameStamp,
@@ -223,7 +225,7 @@ impl FoxgloveView {
         }
     }
 
-    /// The time that messages of a frame carry: nanoseconds since 1970, and the same for Foxglove.
+    /// The time of a frame's messages: nanoseconds since 1970, and the same as Foxglove's type.
     fn time(&self, stamp: &FrameStamp) -> (i64, Timestamp) {
         let exposure_ns = stamp.exposure_ns.saturating_add(self.unix_from_exposure_ns);
         let at_ns = self.recorded_ns.unwrap_or(exposure_ns);
@@ -235,7 +237,7 @@ fn build<T: Encode>(builder: ChannelBuilder) -> Channel<T> {
     builder.build()
 }
 
-/// Sends what `make` makes, if anybody has subscribed to it.
+/// Sends the value that `make` returns, if any client has subscribed to the channel.
 fn put<T: Encode>(channel: &Channel<T>, at_ns: i64, make: impl FnOnce() -> T) {
     if channel.has_sinks() {
         channel.log_with_meta(&make(), meta(at_ns));

@@ -1,4 +1,4 @@
-//! Reads frames beside the stages while somebody wants pictures or close-ups, and makes these.
+//! Reads frames beside the stages while pictures or close-ups are requested, and makes these.
 
 use flockeye_config::Resolved;
 use flockeye_contract::{Frames, Track, TrackState};
@@ -14,31 +14,31 @@ use crate::picture::PictureMaker;
 use crate::scene::EndedFrame;
 use crate::wire::{self, BinaryHead};
 
-/// FramePictures that could not be had are tried again after this long, nanoseconds.
+/// Pause before a reader that could not be opened is tried again, nanoseconds.
 const RETRY_PERIOD_NS: i64 = 3_000_000_000;
-/// Close-ups for each picture: more would cost more than the picture.
+/// Maximum close-ups for each picture; more would cost more than the picture.
 const CLOSEUPS: usize = 2;
 
-/// Reads frames while they are wanted.
+/// Reads frames while a page or client requests pictures.
 pub struct FrameReader<'p> {
     ports: &'p Ports,
     resolved: &'p Resolved,
     rate: f64,
     pictures: Option<FramePictures>,
-    /// Why there are none, and when to try again.
+    /// The reason why there are no pictures, and the time of the next try.
     trouble: Option<(String, i64)>,
-    /// Which neighbour's close-up is next.
+    /// Index of the neighbour whose close-up is next.
     turn: usize,
 }
 
 impl<'p> FrameReader<'p> {
-    /// Starts without frames. `rate`: pictures a second at most.
+    /// Starts without frames. `rate`: maximum pictures per second.
     pub fn new(ports: &'p Ports, resolved: &'p Resolved, rate: f64) -> Self {
         Self { ports, resolved, rate, pictures: None, trouble: None, turn: 0 }
     }
 
-    /// Begins or ends to read, and holds the newest frame while a picture of it `is_due`. Returns
-    /// why there are no pictures, if they are wanted.
+    /// Starts or stops to read, and holds the newest frame while a picture of it `is_due`. Returns
+    /// the reason why requested pictures are missing.
     ///
     /// # Errors
     /// Frames cannot be read any more.
@@ -52,7 +52,7 @@ impl<'p> FrameReader<'p> {
             (self.pictures, self.trouble) = (None, None);
             return Ok(String::new());
         }
-        // While a stage is swapped there may be no room.
+        // While a stage is replaced there may be no free place among the readers.
         let is_time = self.trouble.as_ref().is_none_or(|(_, retry_ns)| now_ns > *retry_ns);
         if self.pictures.is_none() && is_time {
             match FramePictures::open(self.ports, self.resolved, self.rate) {
@@ -69,7 +69,7 @@ impl<'p> FrameReader<'p> {
         Ok(self.trouble.as_ref().map(|(trouble, _)| trouble.clone()).unwrap_or_default())
     }
 
-    /// Shows a frame that has ended, if it is the one that a picture is due of.
+    /// Shows an ended frame, if a picture of it is due.
     pub fn ended(&mut self, ended: &EndedFrame, audience: &Audience, wanted: Demand) {
         let Some(pictures) = &mut self.pictures else { return };
         let Some(frame) = pictures.held.ended(&ended.stamp) else { return };
@@ -78,7 +78,7 @@ impl<'p> FrameReader<'p> {
         }
         if wanted.closeups {
             let tracks: Vec<&Track> = ended.tracks.iter().filter(is_shown_closely).collect();
-            // Each neighbour in turn.
+            // The neighbours take turns.
             for step in 0..tracks.len().min(CLOSEUPS) {
                 let track = tracks[(self.turn + step) % tracks.len()];
                 pictures.show_closely(&frame, track, &ended.message.key, audience);
@@ -87,7 +87,7 @@ impl<'p> FrameReader<'p> {
         }
     }
 
-    /// Shows a frame that does not end.
+    /// Shows a frame that has not ended within the timeout.
     pub fn overdue(&mut self, audience: &Audience, wanted: Demand, now_ns: i64) {
         if let Some(pictures) = &mut self.pictures
             && let Some((_, frame)) = pictures.held.overdue(now_ns)
@@ -98,19 +98,19 @@ impl<'p> FrameReader<'p> {
     }
 }
 
-/// Whether a track is worth a close-up.
+/// Whether a track gets a close-up.
 pub fn is_shown_closely(track: &&Track) -> bool {
     TrackState::try_from(track.state).is_ok_and(TrackState::is_present)
 }
 
-/// What makes pictures of frames.
+/// An open reader of frames, and the makers of pictures.
 struct FramePictures {
     frames: Subscriber<Frames>,
     held: Held<Message<Frames>>,
     maker: PictureMaker,
     closeups: CloseupMaker,
     troubles: Throttle,
-    /// Ends with the value, and with it the place among the readers of frames.
+    /// Dropped with this value, which frees its place among the readers of frames.
     _ports: Ports,
 }
 
@@ -127,7 +127,7 @@ impl FramePictures {
         })
     }
 
-    /// Holds the newest frame while a picture is due, and lets it go otherwise.
+    /// Holds the newest frame while a picture is due, and drops it otherwise.
     fn receive(&mut self, is_due: bool) -> Result<(), PortError> {
         if !is_due {
             self.held.clear();

@@ -1,36 +1,36 @@
-//! Which frame a picture is made of.
+//! The frame from which the next picture is made.
 //!
-//! A picture is shown with what was found in it. So a frame or two are held, unread and uncopied,
-//! until one of them has ended, and only while a picture is due. Where nothing ends any more
-//! (fusion hangs, say), the picture is shown alone after a while.
+//! A picture is shown with its detections and tracks. So up to two frames are held, without a copy,
+//! until one of them has ended. Frames are held only while a picture is due. Where no frame ends
+//! any more (fusion hangs, for example), the picture is shown alone after a timeout.
 
 use std::collections::VecDeque;
 
 use flockeye_contract::FrameStamp;
 
-/// Frames that are held at most. iceoryx2 lets a reader borrow four ([`flockeye_runtime::memory`]),
+/// Maximum frames that are held. iceoryx2 lets a reader borrow four ([`flockeye_runtime::memory`]),
 /// and one more is borrowed while the newest is taken.
 const MOST: usize = 2;
-/// A picture that is due for so long is shown without what was found in it, nanoseconds.
+/// Timeout after which a due picture is shown without its detections, nanoseconds.
 const PATIENCE_NS: i64 = 400_000_000;
 
-/// Frames of which one becomes the next picture.
+/// The held frames, one of which becomes the next picture.
 #[derive(Debug)]
 pub struct Held<F> {
     period_ns: i64,
-    /// Frames that were published before are not shown.
+    /// Frames that were published before this time are not shown.
     due_ns: i64,
     frames: VecDeque<(FrameStamp, F)>,
 }
 
 impl<F> Held<F> {
-    /// Starts without pictures, which come at least about `period_ns` nanoseconds apart.
+    /// Starts without frames. Pictures are made about `period_ns` nanoseconds apart.
     pub fn new(period_ns: i64) -> Self {
         Self { period_ns, due_ns: i64::MIN, frames: VecDeque::new() }
     }
 
-    /// Takes a new frame; lets it go at once unless a picture is due. The oldest stays, because it
-    /// ends first; behind it the newest does.
+    /// Takes a new frame, and drops it at once unless a picture is due. The oldest frame stays,
+    /// because it ends first; a newer frame replaces the one behind it.
     pub fn frame(&mut self, stamp: FrameStamp, frame: F) {
         if stamp.published_ns < self.due_ns {
             return;
@@ -41,8 +41,8 @@ impl<F> Held<F> {
         self.frames.push_back((stamp, frame));
     }
 
-    /// The frame that has ended, if it is held: a picture is to be made of it now. Frames end in
-    /// order, so older ones are let go.
+    /// The frame that has ended, if it is held: a picture is now made from it. Frames end in order,
+    /// so older ones are dropped.
     pub fn ended(&mut self, stamp: &FrameStamp) -> Option<F> {
         while self.frames.front().is_some_and(|(held, _)| held.order() < stamp.order()) {
             self.frames.pop_front();
@@ -51,7 +51,7 @@ impl<F> Held<F> {
         self.take().map(|(_, frame)| frame)
     }
 
-    /// The oldest frame, if it has been waited for long and has not ended.
+    /// The oldest frame, if it has not ended within the timeout.
     pub fn overdue(&mut self, now_ns: i64) -> Option<(FrameStamp, F)> {
         let (oldest, _) = self.frames.front()?;
         (now_ns.saturating_sub(oldest.published_ns) > PATIENCE_NS).then(|| self.take())?
@@ -64,8 +64,8 @@ impl<F> Held<F> {
     fn take(&mut self) -> Option<(FrameStamp, F)> {
         let taken = self.frames.pop_front()?;
         let (at_ns, half_ns) = (taken.0.published_ns, self.period_ns / 2);
-        // In step with the clock, so that the mean rate is the wanted one; but nothing is caught
-        // up.
+        // The due time follows the clock, so that the mean rate is the requested one. Missed
+        // pictures are not made up for.
         let in_step = self.due_ns.saturating_add(self.period_ns);
         self.due_ns = in_step.max(at_ns.saturating_add(half_ns));
         self.frames.retain(|(held, _)| held.published_ns >= self.due_ns);

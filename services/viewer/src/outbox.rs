@@ -1,37 +1,36 @@
-//! What waits for one page.
+//! Messages that wait for one page.
 //!
-//! A page that reads slowly gets the newest: of most kinds one message waits, and it is replaced. A
-//! page says which pictures it has shown, and no more than a few are under way to it at once. So
-//! neither this process nor the system's buffers fill up with old pictures.
+//! A page that reads slowly gets the newest messages. Of most kinds one message waits, and a newer
+//! one replaces it. A page acknowledges the pictures that it has shown, and only a few are under
+//! way at once. So neither this process nor the system's buffers fill up with old pictures.
 
 use std::collections::VecDeque;
 
-/// What a message is, for the rule by which it waits.
+/// The kind of a message, which decides how it waits.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum OutboxKind {
-    /// Must arrive: only a newer one replaces it.
+    /// Must arrive; only a newer one replaces it.
     Hello,
-    /// One for each frame: the oldest is dropped where there are too many.
+    /// One for each frame; the oldest is dropped where too many wait.
     Frame,
-    // Of these the newest counts.
+    // Only the newest of each of the following kinds waits.
     Stages,
     Swarm,
     Status,
     Overview,
-    /// Part of an answer to the page: it must arrive, in its order. Whoever answers waits for the
-    /// page.
+    /// Part of an answer to the page: it must arrive, and in order. The sender waits for the page.
     Answer,
-    /// The newest counts, and it needs a credit.
+    /// Only the newest waits, and it needs a credit.
     Picture,
-    /// The newest of each body counts.
+    /// Only the newest of each body waits.
     Closeup(u32),
 }
 
-/// Frames that wait at most.
+/// Maximum frames that wait.
 const MOST_FRAMES: usize = 32;
-/// Bodies whose close-ups wait at most.
+/// Maximum bodies whose close-ups wait.
 const MOST_CLOSEUPS: usize = 16;
-/// Pictures that are under way to a page at most.
+/// Maximum pictures that are under way to a page.
 const CREDITS: u32 = 3;
 
 /// Messages for one page, in the order in which they came.
@@ -49,7 +48,7 @@ impl<M> Default for PageOutbox<M> {
 }
 
 impl<M> PageOutbox<M> {
-    /// Puts a message in. Returns false if it is not for this page.
+    /// Queues a message. Returns false if this page does not take it.
     pub fn put(&mut self, kind: OutboxKind, message: M) -> bool {
         match kind {
             OutboxKind::Picture if !self.takes_pictures() => return false,
@@ -72,7 +71,7 @@ impl<M> PageOutbox<M> {
         };
         if let Some(at) = replaced {
             self.waiting.remove(at);
-            // What is dropped here is never shown.
+            // A dropped picture is never shown, so it returns its credit.
             self.under_way -= u32::from(kind == OutboxKind::Picture);
         }
         self.waiting.push_back((kind, message));
@@ -83,7 +82,7 @@ impl<M> PageOutbox<M> {
         self.waiting.pop_front().map(|(_, message)| message)
     }
 
-    /// How many wait.
+    /// Number of messages that wait.
     pub fn waiting(&self) -> usize {
         self.waiting.len()
     }
@@ -93,19 +92,19 @@ impl<M> PageOutbox<M> {
         self.wants_pictures && self.under_way < CREDITS
     }
 
-    /// Whether the page wants pictures, now or later.
+    /// Whether the page requests pictures, now or later.
     pub fn wants_pictures(&self) -> bool {
         self.wants_pictures
     }
 
-    /// The page says whether it wants pictures.
+    /// Sets whether the page requests pictures.
     pub fn set_wants_pictures(&mut self, wants: bool) {
         self.wants_pictures = wants;
         // Pictures under way no longer count: a page that was hidden may not have shown them.
         self.under_way = 0;
     }
 
-    /// The page has shown a picture, or let it go.
+    /// Notes that the page has shown or dropped a picture.
     pub fn shown(&mut self) {
         self.under_way = self.under_way.saturating_sub(1);
     }

@@ -14,10 +14,10 @@ use crate::remote::{Move, Remote};
 use crate::request::HttpRefusal;
 use crate::wire::{self, TextMessage};
 
-/// Pages that may be open at once.
+/// Maximum pages that are open at once.
 pub const MOST_PAGES: usize = 16;
 
-/// All open pages. The ports' thread puts messages in and waits for nobody.
+/// All open pages. The ports' thread puts messages in and never waits.
 #[derive(Default)]
 pub struct Pages {
     state: Mutex<State>,
@@ -25,13 +25,13 @@ pub struct Pages {
     player: Option<StartPlayer>,
 }
 
-/// Starts what plays a recording to one page, until the page's [`Remote`] is closed.
+/// Starts a recording's player for one page, which runs until the page's [`Remote`] is closed.
 pub type StartPlayer = Box<dyn Fn(Arc<OpenPage>) -> io::Result<()> + Send + Sync>;
 
 #[derive(Default)]
 struct State {
     pages: Vec<Arc<OpenPage>>,
-    /// What a page that opens later gets first.
+    /// The first messages for a page that opens later.
     hello: Option<Message>,
     status: Option<Message>,
     overview: Option<Message>,
@@ -45,7 +45,7 @@ pub struct Demand {
 }
 
 impl Demand {
-    /// What either wants.
+    /// The union of both demands.
     pub fn or(self, other: Self) -> Self {
         Self {
             anything: self.anything || other.anything,
@@ -55,23 +55,23 @@ impl Demand {
     }
 }
 
-/// One open page, as its own thread and the ports' thread share it.
+/// One open page, which its own thread and the ports' thread share.
 pub struct OpenPage {
     outbox: Mutex<PageOutbox<Message>>,
-    /// A byte here says that something waits.
+    /// A byte in this stream signals that a message waits.
     bell: UnixStream,
     ringing: UnixStream,
-    /// What the page asks its player for; none where it shows a running pipeline.
+    /// Requests to the page's player; none where it shows a running pipeline.
     pub remote: Option<Remote>,
 }
 
 impl Pages {
-    /// For pages that each have a player of their own.
+    /// Pages that each have a player of their own.
     pub fn with_players(player: StartPlayer) -> Self {
         Self { player: Some(player), ..Self::default() }
     }
 
-    /// A new page.
+    /// Opens a new page.
     ///
     /// # Errors
     /// [`HttpRefusal::Full`] where too many are open, or the system has no more descriptors.
@@ -100,7 +100,7 @@ impl Pages {
         Ok(page)
     }
 
-    /// A page was closed.
+    /// Closes a page.
     pub fn close(&self, page: &Arc<OpenPage>) {
         if let Some(remote) = &page.remote {
             remote.close();
@@ -109,7 +109,7 @@ impl Pages {
         self.changed.notify_all();
     }
 
-    /// Something that a page wants has changed.
+    /// Signals that the demand of a page has changed.
     pub fn changed(&self) {
         self.changed.notify_all();
     }
@@ -135,20 +135,20 @@ impl Pages {
 
     pub fn wanted(&self) -> Demand {
         let state = lock(&self.state);
-        // A page shows both or none.
+        // A page shows pictures and close-ups, or neither.
         let pictures = state.pages.iter().any(|page| page.outbox(|outbox| outbox.wants_pictures()));
         Demand { anything: !state.pages.is_empty(), pictures, closeups: pictures }
     }
 
-    /// Whether some page can take a picture now.
+    /// Whether any page can take a picture now.
     pub fn takes_pictures(&self) -> bool {
         lock(&self.state).pages.iter().any(|page| page.outbox(|outbox| outbox.takes_pictures()))
     }
 
-    /// Waits for a change, at most so long.
+    /// Waits for a change, at most `at_most`.
     pub fn wait(&self, at_most: Duration) {
         let state = lock(&self.state);
-        // Woken or not, the caller looks again.
+        // The caller checks again after a wake-up and after a timeout.
         drop(self.changed.wait_timeout(state, at_most).unwrap_or_else(PoisonError::into_inner));
     }
 }
@@ -162,7 +162,7 @@ impl OpenPage {
         Ok(Self { outbox: Mutex::default(), bell, ringing, remote })
     }
 
-    /// Hands a wish of the page to its player. False where it has none.
+    /// Passes a request of the page to its player. False where it has none.
     pub fn ask(&self, wish: Move) -> bool {
         self.remote.as_ref().map(|remote| remote.ask(wish)).is_some()
     }
@@ -170,22 +170,22 @@ impl OpenPage {
     /// Puts a message into its outbox.
     pub fn put(&self, kind: OutboxKind, message: Message) {
         if self.outbox(|outbox| outbox.put(kind, message)) {
-            // Where the bell is full of rings, it rings already.
+            // A full stream already signals that a message waits.
             let _ = (&self.bell).write(&[1]);
         }
     }
 
-    /// Looks into its outbox.
+    /// Gives `look` access to the outbox.
     pub fn outbox<R>(&self, look: impl FnOnce(&mut PageOutbox<Message>) -> R) -> R {
         look(&mut lock(&self.outbox))
     }
 
-    /// Becomes readable when something waits.
+    /// A descriptor that is readable while a message waits.
     pub fn ringing(&self) -> BorrowedFd<'_> {
         self.ringing.as_fd()
     }
 
-    /// Stops the ringing.
+    /// Empties the stream of signals.
     pub fn hush(&self) {
         let mut rings = [0; 64];
         while (&self.ringing).read(&mut rings).is_ok_and(|read| read > 0) {}

@@ -9,21 +9,21 @@ use opencv::core::{
 use opencv::prelude::*;
 use opencv::{core, imgcodecs, imgproc};
 
-/// Widest picture, pixels.
+/// Maximum width of a picture, pixels.
 const MAX_WIDTH: u32 = 1920;
-/// Quality of the JPEG, of 100.
+/// JPEG quality of whole pictures, of 100.
 const QUALITY: i32 = 78;
 /// JPEG quality of close-ups, which are small.
 const CLOSEUP_QUALITY: i32 = 92;
 
-/// Why a frame cannot be shown.
+/// The reason why a frame cannot be shown.
 #[derive(Debug, thiserror::Error)]
 pub enum PictureError {
     #[error("the frame is {width}x{height}, the camera {}x{}", .camera.0, .camera.1)]
     Size {
         width: u32,
         height: u32,
-        /// Sides of the configured camera's frames.
+        /// Width and height of the configured camera's frames.
         camera: (u32, u32),
     },
     #[error("the frame has {found} bytes, its header says {needed}")]
@@ -38,16 +38,16 @@ pub enum PictureError {
 pub struct PictureMaker {
     camera: Camera,
     size: Size,
-    /// Where each pixel of the picture lies in the frame; none where the frame is equirectangular.
+    /// Position in the frame of each pixel of the picture; none where the frame is equirectangular.
     maps: Option<[Mat; 2]>,
     scaled: Mat,
     jpeg: Vector<u8>,
 }
 
 impl PictureMaker {
-    /// For frames of this camera.
+    /// A maker for frames of this camera.
     pub fn new(camera: &Camera) -> opencv::Result<Self> {
-        // Other threads would take processors from the pipeline.
+        // More threads of OpenCV would compete with the pipeline for processors.
         core::set_num_threads(1)?;
         let (width, height) = (camera.width(), camera.height());
         let is_plain = matches!(camera.model(), CameraModel::Equirectangular { .. });
@@ -67,12 +67,12 @@ impl PictureMaker {
         Ok(Self { camera: *camera, size, maps, scaled: Mat::default(), jpeg: Vector::new() })
     }
 
-    /// Sides of its pictures, pixels.
+    /// Width and height of its pictures, pixels.
     pub fn size(&self) -> [u32; 2] {
         [self.size.width, self.size.height].map(|side| side.unsigned_abs())
     }
 
-    /// The picture of a frame, whose header has passed the contract's check.
+    /// The picture of a frame whose header has passed the contract's check.
     pub fn jpeg(&mut self, header: &FrameHeader, pixels: &[u8]) -> Result<&[u8], PictureError> {
         let camera = (self.camera.width(), self.camera.height());
         let (width, height) = (header.width, header.height);
@@ -89,7 +89,7 @@ impl PictureMaker {
         self.encoded(&frame)
     }
 
-    /// The picture of a frame that was decoded, of any size, from a recording.
+    /// The picture of a decoded frame of any size, from a recording.
     pub fn jpeg_of_decoded(&mut self, decoded: &Mat) -> Result<&[u8], PictureError> {
         let camera = Size::new(self.camera.width() as i32, self.camera.height() as i32);
         if self.maps.is_none() || decoded.size()? == camera {
@@ -100,7 +100,7 @@ impl PictureMaker {
         self.encoded(&whole)
     }
 
-    /// Whether a picture of these sides can be shown as it is.
+    /// Whether a picture of this size can be shown without conversion.
     pub fn is_shown_as_is(&self, [width, height]: [u32; 2]) -> bool {
         self.maps.is_none() && width <= MAX_WIDTH && width == 2 * height
     }
@@ -136,8 +136,8 @@ fn encode(pixels: &impl ToInputArray, quality: i32, jpeg: &mut Vector<u8>) -> op
     Ok(())
 }
 
-/// Where the pixels of an equirectangular picture lie in the frames of `camera`, in the form that
-/// OpenCV remaps fastest with.
+/// Positions in the frames of `camera` of the pixels of an equirectangular picture, in the format
+/// that OpenCV remaps fastest.
 fn maps(camera: &Camera, size: Size) -> opencv::Result<[Mat; 2]> {
     let picture =
         Equirectangular { width: size.width.unsigned_abs(), height: size.height.unsigned_abs() };
@@ -158,7 +158,7 @@ fn maps(camera: &Camera, size: Size) -> opencv::Result<[Mat; 2]> {
     Ok([whole, part])
 }
 
-/// Gray pixels, `width` in a row, as a JPEG of good quality.
+/// Encodes gray pixels, `width` in a row, as a JPEG of high quality.
 pub fn gray_jpeg(pixels: &[u8], width: usize, height: usize) -> opencv::Result<Vec<u8>> {
     let mat = Mat::new_rows_cols_with_data(height as i32, width as i32, pixels)?;
     let mut jpeg = Vector::new();
@@ -166,14 +166,13 @@ pub fn gray_jpeg(pixels: &[u8], width: usize, height: usize) -> opencv::Result<V
     Ok(jpeg.to_vec())
 }
 
-/// Sides of a JPEG, before anything of it is decoded: its frame header says them (ITU-T T.81,
-/// B.2.2).
+/// Width and height of a JPEG from its frame header, without decoding it (ITU-T T.81, B.2.2).
 pub fn jpeg_size(jpeg: &[u8]) -> Option<[u32; 2]> {
     let mut rest = jpeg.strip_prefix(&[0xff, 0xd8])?;
     loop {
         let [0xff, marker, high, low, ..] = *rest else { return None };
         let length = usize::from(u16::from_be_bytes([high, low]));
-        // All frame headers, and no table of them.
+        // All frame headers; 0xc4, 0xc8 and 0xcc are other segments.
         if matches!(marker, 0xc0..=0xcf) && !matches!(marker, 0xc4 | 0xc8 | 0xcc) {
             let side = |at: usize| {
                 Some(u32::from(u16::from_be_bytes([*rest.get(at)?, *rest.get(at + 1)?])))
@@ -184,13 +183,13 @@ pub fn jpeg_size(jpeg: &[u8]) -> Option<[u32; 2]> {
     }
 }
 
-/// The luma of a JPEG that is no larger than `most` on either side.
+/// Decodes the luma of a JPEG that is at most `most` wide and high.
 ///
 /// # Errors
-/// It is no JPEG, or larger.
+/// The bytes are not a JPEG, or it is larger.
 pub fn decode(jpeg: &[u8], most: [u32; 2]) -> Result<Mat, PictureError> {
     let size = jpeg_size(jpeg).ok_or(PictureError::Recorded("it is no JPEG"))?;
-    // A few bytes can say that they are a picture of gigabytes.
+    // A file of a few bytes can claim a size of gigabytes.
     if size[0] > most[0] || size[1] > most[1] || size.contains(&0) {
         return Err(PictureError::Recorded("it is larger than the camera's frames"));
     }

@@ -23,11 +23,11 @@ use crate::server;
 use crate::watch::PipelineWatch;
 use crate::wire::TextMessage;
 
-/// The view's nice value: whatever the pipeline wants to do comes first.
+/// The view's nice value: the pipeline has priority.
 const NICE: i32 = 10;
-/// How often an overview that is being made is shown.
+/// Period at which an unfinished overview is shown.
 const OVERVIEW_PERIOD: Duration = Duration::from_millis(500);
-/// How often it is looked whether it is to end.
+/// Period of the check of the stop flag.
 const IDLE_PERIOD: Duration = Duration::from_millis(100);
 
 /// Show what a running pipeline sees, or what a recorded one saw, on a page in the browser.
@@ -178,8 +178,8 @@ fn access(arguments: &ViewArguments) -> anyhow::Result<Access> {
     Ok(Access { token: token.clone(), is_loopback })
 }
 
-/// The page's address. Behind `#` the browser keeps the token to itself: it is in no request for a
-/// file.
+/// The page's address. The browser never sends the part behind `#`, so the token is in no request
+/// for a file.
 fn address(bound: SocketAddr, token: Option<&str>) -> String {
     let host = match bound.ip() {
         IpAddr::V4(address) if address.is_unspecified() => "THIS-MACHINE".to_owned(),

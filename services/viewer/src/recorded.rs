@@ -1,15 +1,15 @@
-//! A recording instead of a running pipeline: the same scene, pictures and close-ups, from a file,
-//! at any time of it.
+//! A recording in place of a running pipeline: its scene, pictures and close-ups at any time of the
+//! file.
 //!
-//! Nothing but one chunk of the file is in memory at once. Each page has its own player, so its own
+//! Memory holds one chunk of the file at once. Each page has its own player, and so its own
 //! position.
 //!
 //! | module | what it does |
 //! | --- | --- |
 //! | `messages` | the contract's messages of a recording |
-//! | `tape` | reads on from a time, and gives each frame that ends |
-//! | `playhead` | core: which frame is shown, for seeks, steps and time that passes |
-//! | `pictures` | the picture that is nearest before a frame, and close-ups |
+//! | `tape` | reads forward from a time, and returns each frame that ends |
+//! | `playhead` | core: the frame that is shown, for seeks, steps and time that passes |
+//! | `pictures` | the nearest picture before a frame, and close-ups |
 //! | `overview` | an overview of the whole recording |
 //! | `player` | plays to one page |
 //! | `foxglove_player` | plays to Foxglove's clients |
@@ -41,7 +41,7 @@ pub struct Recorded {
     recording: IndexedRecording,
     resolved: Resolved,
     channels: ContractChannels,
-    /// Numbers of the channels of pictures, and of what is missing.
+    /// Channel numbers of the pictures, and of the lost messages.
     images: Option<u16>,
     losses: Option<u16>,
     /// Times of the first and the last message, UTC nanoseconds.
@@ -51,16 +51,16 @@ pub struct Recorded {
     /// UTC less the clock of exposures, nanoseconds.
     utc_from_exposure_ns: i64,
     pub hello: wire::Hello,
-    /// What is wrong with the file as a whole, for people; empty where nothing is.
+    /// Damage of the whole file, for people; empty where there is none.
     pub trouble: String,
 }
 
 impl Recorded {
-    /// Opens the recording at `path`. `rate`: pictures a second at most while it is played.
+    /// Opens the recording at `path`. `rate`: maximum pictures per second while it is played.
     ///
     /// # Errors
-    /// It is no recording, is damaged at its very beginning, has nothing in it, or is of another
-    /// contract.
+    /// The file is not a recording, is damaged at its very beginning, has no messages, or has
+    /// another contract.
     pub fn open(path: &Path, rate: f64) -> anyhow::Result<Self> {
         let recording = IndexedRecording::open(path)?;
         let shown = path.display();
@@ -119,9 +119,9 @@ impl Recorded {
         utc_ns.saturating_sub(self.first_ns) as f64 * 1e-9
     }
 
-    /// The time so many seconds from its beginning, within the recording.
+    /// Time `seconds` after the recording's beginning, limited to the recording.
     pub fn time_ns(&self, seconds: f64) -> u64 {
-        // What is no number gives 0, and what is too large the end.
+        // NaN gives 0, and a value that is too large gives the end.
         self.first_ns.saturating_add((seconds * 1e9) as u64).min(self.last_ns)
     }
 
@@ -139,7 +139,7 @@ fn said(about: &About, name: &str) -> String {
     about.metadata.get(name).cloned().unwrap_or_default()
 }
 
-/// What is wrong with a recording that can be shown all the same.
+/// Damage of a recording that can be shown all the same.
 fn trouble(recording: &IndexedRecording, channels: &ContractChannels) -> String {
     if let Some(damage) = recording.damage() {
         return format!("{damage}; what lies before is shown");
@@ -155,7 +155,7 @@ fn trouble(recording: &IndexedRecording, channels: &ContractChannels) -> String 
     String::new()
 }
 
-/// The configuration of a recorded pipeline, with the bodies as they were.
+/// The configuration of a recorded pipeline, with its bodies at the time of recording.
 fn configuration(about: &About) -> anyhow::Result<Resolved> {
     let attached = |name: &str| {
         let found = about.attachments.iter().find(|(attached, _, _)| attached == name);
@@ -171,7 +171,7 @@ fn configuration(about: &About) -> anyhow::Result<Resolved> {
         .context("the recorded configuration cannot be worked with any more")
 }
 
-/// The bodies by the numbers that they had: a file of bodies has them by their names.
+/// The bodies in the order of their recorded numbers. A file of bodies sorts them by name.
 fn bodies(json: &[u8]) -> anyhow::Result<Bodies> {
     let json = std::str::from_utf8(json)?;
     let read = Bodies::from_json(json)?;

@@ -1,4 +1,4 @@
-//! What a page asks the player of its recording for.
+//! Requests of a page to the player of its recording.
 
 use std::collections::VecDeque;
 use std::sync::{Condvar, Mutex, PoisonError};
@@ -6,21 +6,21 @@ use std::time::Duration;
 
 use flockeye_runtime::lock::lock;
 
-/// Wishes that wait at most: a page that sends more of them does not wait for answers.
+/// Maximum requests that wait. A page that sends more does not wait for answers.
 const MOST_WISHES: usize = 64;
-/// Frames that are stepped over at once at most.
+/// Maximum frames of one step.
 const MOST_STEPS: i32 = 1000;
-/// The fastest, seconds in each second.
+/// Maximum speed of playback, recorded seconds per second.
 const MAX_SPEED: f64 = 100.0;
 
-/// Something that a page wants of a recording.
+/// A request of a page to the player of its recording.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Move {
-    /// To see this time, seconds from the beginning.
+    /// Shows this time, seconds from the beginning.
     Seek(f64),
-    /// To see the frame so many frames on, or back.
+    /// Shows the frame this many frames on, or back if negative.
     Step(i32),
-    /// To go on, so many seconds in each second; 0: to stop.
+    /// Plays at this speed, recorded seconds per second; 0 stops.
     Play(f64),
 }
 
@@ -35,7 +35,7 @@ impl Move {
     }
 }
 
-/// Wishes of one page, as its socket's thread and its player share them.
+/// Requests of one page, which its socket's thread and its player share.
 #[derive(Debug, Default)]
 pub struct Remote {
     state: Mutex<State>,
@@ -45,13 +45,13 @@ pub struct Remote {
 #[derive(Debug, Default)]
 struct State {
     wishes: VecDeque<Move>,
-    /// How many have been taken or left out.
+    /// Number of requests that were taken or dropped.
     answers: u64,
     is_closed: bool,
 }
 
 impl Remote {
-    /// Adds a wish. Of several seeks that follow each other only the last counts.
+    /// Adds a request. A seek replaces the seek directly before it.
     pub fn ask(&self, wish: Move) {
         let wish = wish.bounded();
         let mut state = lock(&self.state);
@@ -68,7 +68,7 @@ impl Remote {
         self.changed.notify_all();
     }
 
-    /// Something else has changed for the page.
+    /// Wakes the player after another change of the page.
     pub fn wake(&self) {
         self.changed.notify_all();
     }
@@ -82,8 +82,8 @@ impl Remote {
         lock(&self.state).is_closed
     }
 
-    /// The next wish, and how many are done then; waits for it at most so long. None where the page
-    /// is gone.
+    /// The next request, and the number of requests done with it. Waits at most `at_most`. None
+    /// where the page is closed.
     pub fn next(&self, at_most: Duration) -> Option<(Move, u64)> {
         let mut state = lock(&self.state);
         if state.wishes.is_empty() && !state.is_closed && !at_most.is_zero() {

@@ -1,8 +1,8 @@
-//! What a browser asks for, and who may.
+//! HTTP requests of a browser, and which of them are allowed.
 //!
-//! A page from elsewhere must not read this one's socket: its `Origin` would be another. Nor may it
-//! reach this machine under a name of its own (DNS rebinding): on loopback only names of loopback
-//! are answered, and elsewhere every socket needs the token.
+//! A page from elsewhere must not read this page's socket: its `Origin` differs. Nor may it reach
+//! this machine under another name (DNS rebinding). So on loopback only names of loopback are
+//! answered, and elsewhere every socket needs the token.
 
 use std::net::IpAddr;
 
@@ -11,36 +11,36 @@ use tungstenite::handshake::derive_accept_key;
 use crate::explaining::PoseQuestion;
 use crate::files::{self, PageFile};
 
-/// Longest head of a request, bytes.
+/// Maximum length of a request's head, bytes.
 pub const MAX_HEAD: usize = 8 * 1024;
-/// Most header lines of a request.
+/// Maximum header lines of a request.
 const MAX_HEADERS: usize = 64;
 
-/// Which requests are served.
+/// The rules for which requests are served.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Access {
-    /// What the socket needs, if anything.
+    /// The token that a socket needs, if any.
     pub token: Option<String>,
-    /// Whether only this machine can ask.
+    /// Whether only this machine can connect.
     pub is_loopback: bool,
 }
 
-/// What to answer.
+/// The answer to a request.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum HttpAnswer {
-    /// A file of the page. `with_body`: it is asked for with `GET`, not `HEAD`.
+    /// A file of the page. `with_body`: the method is `GET` and not `HEAD`.
     File {
         file: &'static PageFile,
         with_body: bool,
     },
-    /// The page's socket may be opened; the key that the browser waits for.
+    /// The page's socket may be opened. `accept` is the key that the browser expects.
     Socket {
         accept: String,
     },
-    /// The socket could be opened with this token: a page asks so, because a browser does not tell
-    /// it why a socket was refused.
+    /// The token is right. A page checks it so, because a browser does not report why a socket was
+    /// refused.
     Granted,
-    /// The page may ask this.
+    /// A question that the page may ask.
     Explain(PoseQuestion),
     Refused(HttpRefusal),
 }
@@ -87,8 +87,8 @@ impl HttpRefusal {
     }
 }
 
-/// What to answer to the bytes that have come so far, and how many of them the request is. `None`:
-/// more must come.
+/// The answer to the bytes received so far, and the request's length in bytes. `None`: the request
+/// is not complete.
 pub fn answer(bytes: &[u8], access: &Access) -> Option<(HttpAnswer, usize)> {
     let mut headers = [httparse::EMPTY_HEADER; MAX_HEADERS];
     let mut request = httparse::Request::new(&mut headers);
@@ -126,7 +126,7 @@ fn outcome(
             let is_websocket = has_word(request, "upgrade", "websocket")
                 && has_word(request, "connection", "upgrade")
                 && only(request, "sec-websocket-version") == Some("13")
-                // Sixteen bytes in base 64.
+                // Length of sixteen bytes in base 64.
                 && key.len() == 24
                 && method == "GET";
             if !is_websocket {
@@ -138,7 +138,7 @@ fn outcome(
         "/explain" => {
             check_socket(request, host, query, access)?;
             let question = PoseQuestion::of_query(query).ok_or(HttpRefusal::Question)?;
-            // An explanation takes time and a processor, so only GET asks for it.
+            // An explanation takes time and a processor, so only GET starts one.
             (method == "GET").then_some(HttpAnswer::Explain(question)).ok_or(HttpRefusal::Method)
         }
         _ => {
@@ -154,7 +154,7 @@ fn check_socket(
     query: &str,
     access: &Access,
 ) -> Result<(), HttpRefusal> {
-    // Programs send none; browsers always do where it matters.
+    // Programs send no `Origin`; browsers always do where it matters.
     if let Some(origin) = header(request, "origin").next() {
         let authority = origin.split_once("://").map(|(_, authority)| authority);
         if authority != Some(host) {
@@ -168,7 +168,7 @@ fn check_socket(
     }
 }
 
-/// Compares in a time that does not depend on where the two differ.
+/// Compares in a time that does not depend on the place of the first difference.
 fn is_same(token: &str, given: &str) -> bool {
     let differ = token.bytes().zip(given.bytes()).fold(0, |differ, (a, b)| differ | (a ^ b));
     token.len() == given.len() && differ == 0
@@ -183,7 +183,7 @@ fn header<'r>(
     of_name.filter_map(|header| std::str::from_utf8(header.value).ok())
 }
 
-/// The value of a header that is there once.
+/// The value of a header that occurs exactly once.
 fn only<'r>(request: &'r httparse::Request<'_, '_>, name: &'static str) -> Option<&'r str> {
     let mut values = header(request, name);
     let value = values.next()?;
@@ -205,7 +205,7 @@ fn is_loopback_name(host: &str) -> bool {
         || name.parse::<IpAddr>().is_ok_and(|address| address.is_loopback())
 }
 
-/// Whether a token can stand in an address as it is.
+/// Whether a token can be part of an address without encoding.
 pub fn is_token(token: &str) -> bool {
     (8..=128).contains(&token.len())
         && token.bytes().all(|byte| byte.is_ascii_alphanumeric() || b"-_.~".contains(&byte))

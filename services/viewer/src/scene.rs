@@ -1,7 +1,7 @@
 //! The scene: messages of the contract in, messages to the page out.
 //!
-//! What belongs to a frame is kept until fusion says that the frame has ended. Then all of it goes
-//! to the page at once.
+//! The messages of a frame are kept until fusion ends the frame. Then they all go to the page at
+//! once.
 
 use std::collections::{BTreeMap, VecDeque};
 
@@ -17,22 +17,22 @@ use nalgebra::Vector3;
 use crate::setting::{pose, tile};
 use crate::wire;
 
-/// Frames that are waited for at most; older ones never ended.
+/// Maximum open frames; older ones never ended.
 const OPEN_FRAMES: usize = 16;
-/// Plans that are kept: those that frames in flight follow.
+/// Maximum plans that are kept: frames in flight refer to them.
 const PLANS: usize = 16;
-/// Markers of a frame that are shown at most.
+/// Maximum markers of a frame that are shown.
 const MOST_MARKERS: usize = 128;
-/// A neighbour that was lost, or a sighting, is forgotten after this long, nanoseconds.
+/// Time after which a sighting or the swarm's poses are dropped, nanoseconds.
 const FORGOTTEN_NS: i64 = 5_000_000_000;
-/// Sightings that are kept at most.
+/// Maximum sightings that are kept.
 const MOST_SIGHTINGS: usize = 256;
-/// A process that has reported nothing for this long is gone, nanoseconds.
+/// Time without a report after which a process is dropped, nanoseconds.
 const GONE_NS: i64 = 10_000_000_000;
-/// Processes that are kept at most: any process of the user may report anything.
+/// Maximum processes that are kept, because any process of the user may report anything.
 const MOST_PROCESSES: usize = 64;
 
-/// What the stages say of the frames.
+/// The stages' messages of the frames, the swarm and the processes.
 #[derive(Debug)]
 pub struct PageScene {
     is_real_time: bool,
@@ -60,15 +60,15 @@ struct PartialFrame {
 #[derive(Debug, Clone)]
 pub struct EndedFrame {
     pub stamp: FrameStamp,
-    /// Its neighbours, as the contract has them.
+    /// Tracks of its neighbours, as in the contract.
     pub tracks: Vec<Track>,
-    /// In a recording: when it ended, UTC nanoseconds; 0 of a running pipeline.
+    /// Time in a recording at which it ended, UTC nanoseconds; 0 for a running pipeline.
     pub utc_ns: u64,
     pub message: wire::FrameMessage,
 }
 
 impl PageScene {
-    /// Nothing seen yet. `is_real_time`: whether exposures are on this machine's clock.
+    /// An empty scene. `is_real_time`: whether exposures are on this machine's clock.
     pub fn new(is_real_time: bool) -> Self {
         Self {
             is_real_time,
@@ -128,12 +128,12 @@ impl PageScene {
         }
     }
 
-    /// Takes where all drones are.
+    /// Takes the poses of all drones.
     pub fn drones(&mut self, header: &SwarmHeader, poses: &[SwarmPose]) {
         self.drones = Some((*header, poses.to_vec()));
     }
 
-    /// Takes tracks; returns the frame if they end it.
+    /// Takes tracks; returns the frame if these tracks end it.
     pub fn tracks(
         &mut self,
         header: &TrackHeader,
@@ -146,13 +146,13 @@ impl PageScene {
             return None;
         }
         let frame = self.open.remove(&header.stamp.order())?;
-        // What is older and has not ended by now never will: frames end in order.
+        // Older frames that have not ended by now never will: frames end in order.
         self.open = self.open.split_off(&header.stamp.order());
         self.count_skipped(&header.stamp);
         Some(self.ended(header.stamp, frame, now_ns))
     }
 
-    /// Where the swarm's drones are and who sees whom, if anything is known of them.
+    /// Poses of the swarm's drones and their sightings of each other, if any is known.
     pub fn swarm(
         &mut self,
         now_ns: i64,
@@ -189,7 +189,7 @@ impl PageScene {
         Some((drones.collect(), sightings.collect()))
     }
 
-    /// What the stages report.
+    /// The reports of the stages.
     pub fn stages(&mut self, now_ns: i64) -> Vec<wire::ProcessReport> {
         self.processes.retain(|_, rates| rates.silent_ns(now_ns) < GONE_NS);
         let stages = self.processes.iter().map(|((stage, replica), rates)| {
@@ -263,7 +263,7 @@ impl PageScene {
         else {
             return;
         };
-        // If several plans have this number, that of the newest fusion counts.
+        // If several plans have this number, the newest fusion's plan counts.
         let Some((_, _, views)) = self.plans.iter().rev().find(|(id, ..)| *id == plan_id) else {
             return;
         };
@@ -276,14 +276,14 @@ impl PageScene {
                     shown.high_resolution.push(view.tile);
                 }
                 Ok(ViewKind::Roi) => shown.regions.push(region(view, stamp)),
-                // Only rectification knows where a proposal is.
+                // The plan does not contain the direction of a proposal; rectification chooses it.
                 _ => {}
             }
         }
     }
 }
 
-/// A region of interest, as it was cut of a frame.
+/// A region of interest, as it was cut from a frame.
 fn region(view: &PlannedView, stamp: &FrameStamp) -> wire::RegionView {
     wire::RegionView { target: view.target, view: tile(&at_exposure(view, stamp.exposure_ns)) }
 }
@@ -315,8 +315,7 @@ fn track(track: &Track) -> wire::TrackSummary {
     }
 }
 
-/// Milliseconds of capture, rectification, detection, fusion, and all together, as far as they are
-/// known.
+/// Milliseconds of capture, rectification, detection, fusion, and in total; none where unknown.
 pub fn latency_ms(latency: &StageLatency) -> [Option<f32>; 5] {
     let parts = [
         latency.capture_ns,

@@ -1,4 +1,4 @@
-//! The sockets: who connects gets a thread, and there are only so many.
+//! The sockets: each connection gets a thread, up to a maximum.
 
 use std::io;
 use std::net::{SocketAddr, TcpListener};
@@ -12,16 +12,16 @@ use crate::explaining::Explainer;
 use crate::pages::Pages;
 use crate::request::Access;
 
-/// Connections at once: open pages, and requests that are answered.
+/// Maximum connections at once: open pages, and requests that are being answered.
 const MOST_CONNECTIONS: usize = 64;
 /// Stack of a connection's thread, bytes.
 const STACK: usize = 512 * 1024;
 
-/// Listens at `address`, in threads of its own that end with the process. Returns the address, with
-/// the port that was chosen where it was 0.
+/// Listens at `address`, in threads of its own that end with the process. Returns the bound
+/// address, which has the chosen port where the given one was 0.
 ///
 /// # Errors
-/// The address is taken or not this machine's, or there are no more threads.
+/// The address is in use or not this machine's, or no thread can be started.
 pub fn start(
     address: SocketAddr,
     access: Access,
@@ -38,14 +38,14 @@ pub fn start(
 
 fn listen(listener: &TcpListener, access: Access, pages: &Arc<Pages>, explainer: Explainer) {
     let (access, explainer) = (Arc::new(access), Arc::new(explainer));
-    // Each open connection has a clone.
+    // Each open connection holds a clone, which counts it.
     let open = Arc::new(());
     let mut troubles = Throttle::default();
     loop {
         let stream = match listener.accept() {
             Ok((stream, _)) => stream,
             Err(error) => {
-                // Accepting would fail again at once, for example without free descriptors.
+                // Accepting would fail again at once, for example without free file descriptors.
                 if let Some(more) = troubles.admit() {
                     tracing::warn!(more_since = more, "a connection cannot be accepted: {error}");
                 }
@@ -54,7 +54,7 @@ fn listen(listener: &TcpListener, access: Access, pages: &Arc<Pages>, explainer:
             }
         };
         if Arc::strong_count(&open) > MOST_CONNECTIONS {
-            // All places are taken: the connection is closed without an answer.
+            // The maximum is reached: the connection is closed without an answer.
             continue;
         }
         let place = open.clone();

@@ -1,4 +1,4 @@
-//! What a page must know once: camera, tiles, bodies.
+//! The page's first message: camera, tiles, bodies.
 
 use flockeye_config::Resolved;
 use flockeye_contract::{self as contract, StageName};
@@ -39,7 +39,7 @@ fn transform(isometry: &Isometry3<f64>) -> wire::PagePose {
     pose(&flockeye_convert::pose(isometry))
 }
 
-/// A view as the page has it.
+/// A view in the page's format.
 pub fn tile(view: &View) -> wire::ViewSquare {
     let half = f64::from(view.size_px) / (2.0 * view.focal_px);
     wire::ViewSquare { q: xyzw(&view.camera_from_view).map(|x| x as f32), half: half as f32 }

@@ -1,5 +1,5 @@
-//! The ports: reads the pipeline beside its stages, while a page is open, and hands pages and
-//! Foxglove's clients what the core makes of it.
+//! The ports: reads the pipeline beside its stages while a page is open, and sends the scene to
+//! pages and clients.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -20,15 +20,15 @@ use crate::scene::{EndedFrame, PageScene};
 use crate::setting;
 use crate::wire::{self, TextMessage};
 
-/// How often stages and swarm are shown, nanoseconds.
+/// Period at which stages and swarm are shown, nanoseconds.
 const REPORT_PERIOD_NS: i64 = 500_000_000;
-/// How often it is looked whether the pipeline still runs, nanoseconds.
+/// Period of the check whether the pipeline still runs, nanoseconds.
 const LIFE_PERIOD_NS: i64 = 1_000_000_000;
-/// How long messages may gather before they are read: each waking costs time.
+/// Time for which messages gather before they are read: each wake-up costs time.
 const GATHERING: Duration = Duration::from_millis(4);
-/// At least so often it is looked what the pages want.
+/// Maximum period between checks of the pages' requests.
 const LOOK_PERIOD: Duration = Duration::from_millis(50);
-/// Waits for a page or a pipeline.
+/// Pause while there is no page or no pipeline.
 const IDLE_PERIOD: Duration = Duration::from_millis(200);
 
 /// Shows one pipeline to the pages, and to Foxglove's clients.
@@ -37,15 +37,15 @@ pub struct PipelineWatch {
     audience: Audience,
     rate: f64,
     stopping: Arc<AtomicBool>,
-    /// What is wrong, as the pages were told last: whether the pipeline runs, and why there are no
-    /// pictures.
+    /// The last status sent to the pages: whether the pipeline runs, and the reason why there are
+    /// no pictures.
     status: Option<(bool, String)>,
     hello: Option<wire::Hello>,
     troubles: Throttle,
 }
 
 impl PipelineWatch {
-    /// `rate`: pictures a second at most.
+    /// A watch that has not read anything. `rate`: maximum pictures per second.
     pub fn new(
         instance: Instance,
         audience: Audience,
@@ -56,8 +56,8 @@ impl PipelineWatch {
         Self { instance, audience, rate, stopping, status: None, hello: None, troubles }
     }
 
-    /// Shows it until it is told to stop. While no page is open, or the pipeline does not run, it
-    /// waits.
+    /// Shows the pipeline until the stop flag is set. Waits while no page is open or the pipeline
+    /// does not run.
     pub fn run(&mut self) {
         while !self.is_stopping() {
             if !self.audience.wanted().anything {
@@ -70,7 +70,8 @@ impl PipelineWatch {
                 continue;
             }
             if let Err(error) = self.follow() {
-                // A pipeline that just starts or ends has no services: it is tried again.
+                // A pipeline that starts or ends has no services yet or any more, so it is tried
+                // again.
                 if let Some(more) = self.troubles.admit() {
                     tracing::warn!(more_since = more, "the pipeline cannot be followed: {error:#}");
                 }
@@ -84,7 +85,7 @@ impl PipelineWatch {
         self.stopping.load(Ordering::Relaxed)
     }
 
-    /// Tells the pages what is wrong, where that has changed.
+    /// Sends the status to the pages, where it has changed.
     fn say(&mut self, running: bool, trouble: String) {
         let status = Some((running, trouble));
         if self.status != status {
@@ -94,7 +95,7 @@ impl PipelineWatch {
         }
     }
 
-    /// Follows the pipeline until nobody watches or the pipeline ends.
+    /// Follows the pipeline until no page or client is left, or the pipeline ends.
     fn follow(&mut self) -> anyhow::Result<()> {
         let (mut ports, resolved) = onlooker::join(&self.instance)?;
         ports.follow_hand_overs()?;
@@ -173,14 +174,16 @@ impl Subscribers {
         })
     }
 
-    /// Hands on what has come. Tracks are the last: what belongs to their frame comes before them.
+    /// Passes new messages to the scene. Tracks come last, because the other messages of their
+    /// frame come before them.
     fn receive(
         &mut self,
         scene: &mut PageScene,
         now_ns: i64,
     ) -> Result<Vec<EndedFrame>, PortError> {
         let mut tracks = Vec::new();
-        // Taken first: what they end has come by now.
+        // Tracks are taken first: by then the other messages of the frames that they end have
+        // arrived.
         each(&mut self.tracks, |message| tracks.push((message.header, message.items().to_vec())))?;
         each(&mut self.plans, |message| scene.plan(&message.header, message.items()))?;
         each(&mut self.detections, |message| scene.detection(&message.header, message.items()))?;

@@ -1,6 +1,6 @@
 //! The messages to the page. docs/RECORDING.md describes them; a test compares it with this file.
 //!
-//! Numbers are of single precision: a page draws with them, and nobody measures by them.
+//! Numbers have single precision: a page only draws with them.
 
 use flockeye_contract::FrameStamp;
 use serde::Serialize;
@@ -8,19 +8,19 @@ use tungstenite::Message;
 
 use crate::outbox::OutboxKind;
 
-/// Version of these messages. A page of another version asks to be loaded again.
+/// Version of these messages. A page of another version must be reloaded.
 pub const PROTOCOL: u32 = 1;
 
 /// A message as text.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 #[serde(tag = "kind", rename_all = "snake_case")]
 pub enum TextMessage<'m> {
-    /// The first message, and again where a pipeline has started anew.
+    /// The first message; it is repeated where a pipeline was restarted.
     Hello(&'m Hello),
     Frame(&'m FrameMessage),
-    /// What the stages report.
+    /// Reports of the stages.
     Stages {
-        /// One for each process.
+        /// One report for each process.
         stages: &'m [ProcessReport],
     },
     Swarm {
@@ -28,23 +28,23 @@ pub enum TextMessage<'m> {
         /// Sightings: which drone sees which.
         sightings: &'m [SightingSummary],
     },
-    /// What is wrong with the view itself.
+    /// State of the view itself.
     Status {
         running: bool,
-        /// Why there are no pictures, for people; empty where there are.
+        /// The reason why there are no pictures, for people; empty where there are.
         trouble: &'m str,
     },
-    /// Which frame of a recording is shown now. What belongs to it came before.
+    /// The frame of a recording that is shown now. Its messages came before.
     Position {
         /// The frame; absent where the recording has none.
         key: Option<&'m str>,
         /// The time that is shown, seconds from the recording's beginning.
         at_s: f64,
-        /// Seconds of the recording in each second; 0: paused.
+        /// Speed of playback, recorded seconds per second; 0: paused.
         speed: f64,
-        /// The frame whose picture is the nearest before, if there is one.
+        /// The frame of the nearest picture before, if there is one.
         picture: Option<&'m str>,
-        /// How many of the page's commands have been done.
+        /// Number of the page's commands that were done.
         answers: u64,
     },
     /// An overview of a whole recording.
@@ -52,7 +52,7 @@ pub enum TextMessage<'m> {
 }
 
 impl TextMessage<'_> {
-    /// How it waits for a page that follows a running pipeline.
+    /// The kind by which it waits for a page that follows a running pipeline.
     pub fn kind(&self) -> OutboxKind {
         match self {
             Self::Hello(_) => OutboxKind::Hello,
@@ -73,14 +73,14 @@ pub enum BinaryHead {
     /// A frame's picture, equirectangular.
     Picture {
         key: String,
-        /// Sides, pixels.
+        /// Width and height, pixels.
         size: [u32; 2],
     },
     /// A neighbour's close-up: panels side by side.
     Closeup(CloseupHead),
 }
 
-/// What a page must know once.
+/// The page's first message.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Hello {
     /// [`PROTOCOL`].
@@ -93,7 +93,7 @@ pub struct Hello {
     pub simulated: bool,
     /// Name of this drone.
     pub observer: String,
-    /// Sides of the camera's frames, pixels.
+    /// Width and height of the camera's frames, pixels.
     pub camera_px: [u32; 2],
     /// The camera's mount on this drone.
     pub observer_from_camera: PagePose,
@@ -105,7 +105,7 @@ pub struct Hello {
     pub bodies: Vec<PageBody>,
     /// Names of the stages that run.
     pub stages: Vec<&'static str>,
-    /// Pictures a second, at most.
+    /// Maximum pictures per second.
     pub rate: f32,
     /// The recording that is shown; absent where it is a running pipeline.
     pub recording: Option<RecordingSummary>,
@@ -114,9 +114,9 @@ pub struct Hello {
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct RecordingSummary {
     pub file: String,
-    /// When it begins, UTC seconds since 1970.
+    /// Start time, UTC seconds since 1970.
     pub began_s: f64,
-    /// How long it is, seconds.
+    /// Duration, seconds.
     pub duration_s: f64,
     /// Whether the recording has pictures of frames.
     pub pictures: bool,
@@ -125,7 +125,7 @@ pub struct RecordingSummary {
 /// A pose `a_from_b`.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct PagePose {
-    /// Metres.
+    /// Position, metres.
     pub p: [f32; 3],
     /// Unit quaternion x, y, z, w.
     pub q: [f32; 4],
@@ -136,14 +136,14 @@ pub struct PagePose {
 pub struct ViewSquare {
     /// `camera_from_view`: unit quaternion x, y, z, w.
     pub q: [f32; 4],
-    /// Half of its side, at distance 1 along its axis.
+    /// Half of its width, at distance 1 along its axis.
     pub half: f32,
 }
 
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct PageBody {
     pub name: String,
-    /// Pose of the markers on their drone.
+    /// Pose of the markers' frame in the drone's frame.
     pub target_from_markers: PagePose,
     /// Outlines of its flat sides in the markers' frame, metres.
     pub facets: Vec<Vec<[f32; 3]>>,
@@ -160,7 +160,7 @@ pub struct PageMarker {
 
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct FrameMessage {
-    /// Names the frame: see [`key`].
+    /// The frame's key: see [`key`].
     pub key: String,
     /// Its number in its epoch.
     pub sequence: u64,
@@ -175,16 +175,16 @@ pub struct FrameMessage {
     /// High-resolution tiles that were searched in it.
     pub high_resolution: Vec<u32>,
     pub regions: Vec<RegionView>,
-    /// Views of the plan that were cut, and those that were not.
+    /// Numbers of the plan's views that were cut, and that were not.
     pub views: [u32; 2],
     pub markers: Vec<Detected>,
     pub tracks: Vec<TrackSummary>,
-    /// Turns directions in the camera frame of the frame before into this one's: x, y, z, w; absent
-    /// where it is not known.
+    /// Rotation from the camera frame of the previous frame to this one's: x, y, z, w. Absent where
+    /// unknown.
     pub turn: Option<[f32; 4]>,
     /// True poses of the neighbours in a simulated flight.
     pub truth: Vec<Truth>,
-    /// In a recording: when it ended, seconds from the recording's beginning; absent of a running
+    /// Time at which it ended, seconds from the recording's beginning; absent for a running
     /// pipeline.
     pub at_s: Option<f64>,
 }
@@ -200,7 +200,7 @@ pub struct RegionView {
 pub struct Detected {
     /// Its number in the dictionary.
     pub id: u32,
-    /// Whether the marker was not decoded and only looks like this one.
+    /// Whether the marker was not decoded, and only resembles this one.
     pub doubtful: bool,
     /// Unit rays of its corners in the camera frame.
     pub rays: [[f32; 3]; 4],
@@ -223,19 +223,19 @@ pub struct TrackSummary {
     pub pose: PagePose,
     /// Covariance of the position in the observer's frame, m^2: xx, xy, xz, yy, yz, zz.
     pub covariance: [f32; 6],
-    /// Standard deviation of the attitude, over all axes together, degrees.
+    /// Standard deviation of the attitude, over all three axes together, degrees.
     pub attitude_deg: f32,
     /// Velocity along the observer's axes, m/s.
     pub velocity: [f32; 3],
-    /// Seconds since it was measured, and since the track began.
+    /// Seconds since the last measurement, and since the track began.
     pub unseen_s: f32,
     pub age_s: f32,
-    /// Milliseconds of capture, rectification, detection, fusion, and all together; absent where
+    /// Milliseconds of capture, rectification, detection, fusion, and in total; absent where
     /// unknown.
     pub latency_ms: [Option<f32>; 5],
 }
 
-/// Where a simulated neighbour really is.
+/// True pose of a simulated neighbour.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Truth {
     /// Number of its body.
@@ -247,31 +247,31 @@ pub struct Truth {
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ProcessReport {
     pub stage: String,
-    /// Which worker.
+    /// Number of the worker.
     pub replica: u32,
-    /// How often it was replaced.
+    /// Number of replacements.
     pub generation: u32,
     /// `starting`, `ready`, `draining`, `finished`, `degraded` or `silent`.
     pub state: &'static str,
-    /// What it works with, for people.
+    /// Details of its work, for people.
     pub detail: String,
     /// Messages taken in each second.
     pub taken_per_s: f32,
     /// Messages sent each second.
     pub published_per_s: f32,
-    /// Messages dropped, and refused, since it started.
+    /// Messages dropped, and failed, since it started.
     pub dropped: u64,
     pub failed: u64,
-    /// What it works on now.
+    /// Number of messages that it works on now.
     pub queued: u64,
-    /// Share of a processor.
+    /// Processor load; 1 is one whole processor.
     pub processor: f32,
     pub resident_mb: f32,
-    /// Median and 99 % quantile of its latency, milliseconds; absent where nothing was done yet.
+    /// Median and 99 % quantile of its latency, milliseconds; absent before the first message.
     pub latency_ms: Option<[f32; 2]>,
 }
 
-/// Where a drone of the swarm is.
+/// Pose of a drone of the swarm.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct DroneSummary {
     pub name: String,
@@ -281,13 +281,13 @@ pub struct DroneSummary {
     pub covariance: [f32; 6],
     /// `direct`, `mutual`, `reported` or `chained`.
     pub way: &'static str,
-    /// The drone through which it is known, if it is `chained`.
+    /// The drone whose sighting leads to it, if it is `chained`.
     pub through: String,
-    /// Age of the newest exposure that it rests on, seconds.
+    /// Age of the newest exposure behind the pose, seconds.
     pub age_s: f32,
 }
 
-/// Where a peer sees somebody.
+/// A peer's sighting of another drone.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct SightingSummary {
     pub observer: String,
@@ -298,19 +298,19 @@ pub struct SightingSummary {
     pub age_s: f32,
 }
 
-/// An overview of a recording: its time in equal parts, each with what is worst in it.
+/// An overview of a recording: its time in equal parts, each with its worst values.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct Overview {
-    /// Share of the recording that has been read for it, 0 to 1.
+    /// Share of the recording that has been read, 0 to 1.
     pub done: f32,
-    /// The slowest neighbour's latency as in [`TrackSummary`]; absent where there is none.
+    /// Latency of the slowest neighbour, as in [`TrackSummary`]; absent where there is none.
     pub latency_ms: Vec<Option<[Option<f32>; 5]>>,
     pub states: Vec<TargetStates>,
     /// Frames that never ended.
     pub skipped: Vec<u32>,
     /// Messages that are, or may be, missing in the recording.
     pub lost: Vec<u32>,
-    /// What is missing of each topic.
+    /// Missing messages by topic.
     pub losses: Vec<TopicLoss>,
 }
 
@@ -319,11 +319,11 @@ pub struct Overview {
 pub struct TargetStates {
     /// Number of its body.
     pub target: u32,
-    /// In each part of the recording the worst state; absent where nothing is said.
+    /// The worst state in each part of the recording; absent where there is none.
     pub states: Vec<Option<&'static str>>,
 }
 
-/// What a recording lacks of a topic.
+/// Missing messages of a topic.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct TopicLoss {
     pub topic: String,
@@ -337,39 +337,39 @@ pub struct CloseupHead {
     pub key: String,
     /// Number of the body.
     pub target: u32,
-    /// Sides of one panel, pixels.
+    /// Width and height of one panel, pixels.
     pub size: [u32; 2],
     /// Panels in the JPEG: picture, then model and residual where the body could be compared.
     pub panels: u32,
-    /// How well both agree, where it could be compared.
+    /// Agreement of the two, where the body could be compared.
     pub score: Option<Likeness>,
 }
 
-/// How well the picture and the model agree.
+/// Agreement of the picture and the model.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Likeness {
     /// Mean normalized correlation of the cells.
     pub correlation: f32,
-    /// Log odds of the body being there, by the pixels alone.
+    /// Log odds that the body is there, from the pixels alone.
     pub log_odds: f32,
-    /// Facets that agree.
+    /// Number of facets that agree.
     pub facets: u32,
 }
 
-/// The name of a frame: generation of the source, epoch, sequence.
+/// The key of a frame: generation of the source, epoch, sequence.
 pub fn key(stamp: &FrameStamp) -> String {
     format!("{}.{}.{}", stamp.source_generation, stamp.epoch, stamp.sequence)
 }
 
-/// A text message as it goes over the wire.
+/// Encodes a text message.
 pub fn text(message: &TextMessage<'_>) -> Message {
-    // These types have no maps with other keys than texts, so they always have a JSON form.
+    // All map keys in these types are strings, so a JSON form always exists.
     Message::text(serde_json::to_string(message).unwrap_or_default())
 }
 
 /// A binary message: the length of the head (4 bytes, little endian), the head as JSON, the JPEG.
 pub fn binary(head: &BinaryHead, jpeg: &[u8]) -> Message {
-    // As above.
+    // The head always has a JSON form, as above.
     let head = serde_json::to_vec(head).unwrap_or_default();
     let length = u32::try_from(head.len()).unwrap_or(0).to_le_bytes();
     Message::binary([&length[..], &head, jpeg].concat())

@@ -1,8 +1,8 @@
-//! Chance that is the same in each run.
+//! Random numbers that are the same in each run.
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 
-/// Numbers by chance, the same in each run.
+/// A generator of random numbers, the same in each run.
 pub struct Chance(u64);
 
 impl Chance {
@@ -10,7 +10,7 @@ impl Chance {
         Self(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1)
     }
 
-    /// From 0 to 1.
+    /// A random number from 0 to 1.
     pub fn share(&mut self) -> f64 {
         // xorshift64
         self.0 ^= self.0 << 13;
@@ -19,7 +19,7 @@ impl Chance {
         (self.0 >> 11) as f64 / (1_u64 << 53) as f64
     }
 
-    /// In any direction.
+    /// A random direction.
     pub fn direction(&mut self) -> Vector3<f64> {
         loop {
             let at = Vector3::from_fn(|_, _| 2.0 * self.share() - 1.0);
@@ -29,12 +29,12 @@ impl Chance {
         }
     }
 
-    /// Any attitude.
+    /// A random attitude.
     pub fn attitude(&mut self) -> UnitQuaternion<f64> {
         UnitQuaternion::from_scaled_axis(self.direction() * std::f64::consts::PI * self.share())
     }
 
-    /// A start that is off as corner poses and predictions are.
+    /// A start with typical errors of corner poses and predictions.
     pub fn near(&mut self, pose: &Isometry3<f64>) -> Isometry3<f64> {
         let range_m = pose.translation.vector.norm();
         let off =

@@ -1,4 +1,4 @@
-//! Pictures with known bodies: simulated ones in any light, and recorded ones.
+//! Pictures with known bodies: simulated ones with any exposure, and recorded ones.
 
 use crate::frames::each_frame;
 use flockeye_config::{Pipeline, Resolved};
@@ -15,29 +15,30 @@ use flockeye_tests::recordings;
 use nalgebra::{Isometry3, Quaternion, Unit, UnitQuaternion};
 
 const WIDTH: u32 = 3840;
-/// The seeds of the simulated frames, which nothing was chosen on, and the frames of each.
+/// The seeds of the simulated frames, which were not used to choose parameters, and the frames of
+/// each.
 const SEEDS: std::ops::Range<u64> = 5201..5213;
 const FRAMES: [u64; 4] = [0, 40, 80, 120];
-/// Recordings, and which of their frames are looked at.
+/// Recordings, and the interval of their used frames.
 const RECORDINGS: [(&str, &str, u64); 3] =
     [("flight1", "flight1.mp4", 6), ("flight4", "flight4.mp4", 3), ("stills", "images", 1)];
-/// What a view shows around a body, in radii of it.
+/// Half of a view's field, in radii of the body.
 const AROUND: f64 = 2.5;
 const RADIUS_M: f64 = 0.09;
-/// Views are magnified so much, as regions of interest far away are.
+/// Magnification of views, as for regions of interest of distant bodies.
 const MAGNIFICATION: f64 = 2.0;
 
 /// A body that a picture shows.
 pub struct Shown {
     pub camera_from_markers: Isometry3<f64>,
-    /// Its index.
+    /// Index of the body.
     pub body: usize,
     pub blur_px: f64,
 }
 
 /// A picture of the sphere.
 pub struct Still {
-    /// Where it is from.
+    /// Source of the picture.
     pub origin: &'static str,
     pub luma: Vec<u8>,
     pub bodies: Vec<Shown>,
@@ -79,8 +80,8 @@ impl Still {
         Cutting { view, pixels }
     }
 
-    /// The same picture exposed longer by so many stops. It was blurred as light, and is clipped
-    /// after that.
+    /// The same picture with an exposure that is longer by `stops`. The blur is in linear light,
+    /// and clipping follows it.
     pub fn exposed(&self, stops: f64) -> Self {
         let decode = |code: f64| {
             if code <= 0.04045 { code / 12.92 } else { ((code + 0.055) / 1.055).powf(2.4) }
@@ -140,7 +141,7 @@ pub fn simulated(mut each: impl FnMut(&Still)) {
     }
 }
 
-/// Pictures of the recordings that there are.
+/// Pictures of the available recordings.
 pub fn recorded(mut each: impl FnMut(&Still)) {
     let Some(data) = recordings() else { return println!("decisions: no recordings") };
     let overrides = [format!("bodies.file={}", data.join("bodies.json").display())];

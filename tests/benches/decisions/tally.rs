@@ -1,4 +1,4 @@
-//! What each decision accepts of right and of wrong poses.
+//! Shares of right and of wrong poses that each decision accepts.
 
 use flockeye_fusion::turn_log;
 use flockeye_geometry::pose::is_false;
@@ -8,18 +8,18 @@ use nalgebra::Isometry3;
 
 use crate::STOPS;
 
-/// Where an alignment began.
+/// The start of an alignment.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Kind {
     /// Near the right pose.
     Right,
     /// Near a mirror pose of one of its facets.
     Mirrored,
-    /// In any attitude, where the body is.
+    /// In another attitude, at the place of the body.
     Turned,
-    /// Where another body is.
+    /// At the place of another body.
     Other,
-    /// Where no body is.
+    /// At a place without a body.
     Absent,
 }
 
@@ -29,14 +29,14 @@ pub struct Hypothesis {
     pub origin: &'static str,
     /// Exposure, stops from the right one.
     pub stop: f64,
-    /// The right pose; `None` where there is nothing to be right about.
+    /// The right pose; `None` at a place without a body.
     pub truth: Option<Isometry3<f64>>,
     /// Length of the motion blur, pixels; 0 without a body.
     pub blur_px: f64,
-    /// Where alignment began.
+    /// Start of the alignment.
     pub start: Isometry3<f64>,
     pub found: Alignment,
-    /// By how much its log odds exceed those of its mirror pose.
+    /// Log odds minus those of the mirror pose.
     pub lead: f64,
 }
 
@@ -53,19 +53,19 @@ impl Hypothesis {
         self.found.evidence.log_odds
     }
 
-    /// As a body without a track is accepted.
+    /// Whether the decision accepts it for a body without a track.
     fn is_accepted(&self) -> bool {
         self.found.is_accepted() && self.found.is_precise && self.lead > least_lead()
     }
 
-    /// As a body is accepted whose track predicts the right pose.
+    /// Whether the decision accepts it for a body whose track predicts the right pose.
     fn is_confirmed(&self) -> bool {
         let turn_log = self.truth.map_or(0.0, |truth| turn_log(&self.found, &truth));
         self.found.is_precise && self.found.is_accepted_with_track_prior(turn_log)
     }
 }
 
-/// A name, and what belongs to it.
+/// A name, and the hypotheses of the group.
 type Group = (String, Box<dyn Fn(&Hypothesis) -> bool>);
 
 /// All hypotheses.
@@ -125,7 +125,8 @@ impl Tally {
         }
     }
 
-    /// Of poses where nobody is: how many have log odds above x, beside those above 0 times e^-x.
+    /// Prints, for poses without a body, the number with log odds above x beside the expected one:
+    /// the number above 0 times e^-x.
     fn print_calibration(&self) {
         let above = |least: f64| self.begun(Kind::Absent).filter(|h| h.log_odds() > least).count();
         println!("\nlog odds above   of nobody   e^-x of those above 0");

@@ -8,7 +8,7 @@ use flockeye_config::Flow;
 use flockeye_geometry::camera::Camera;
 use flockeye_imaging::sphere::SphereImage;
 
-/// Gives each frame with its number, from 0.
+/// Calls `each` for each frame and its number, from 0.
 pub fn each_frame(path: &Path, camera: Camera, mut each: impl FnMut(u64, &SphereImage<'_>)) {
     let parameters = SourceParameters {
         flow: Flow::Lossless,

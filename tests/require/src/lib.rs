@@ -1,11 +1,11 @@
-//! What tests share: what they need that not every machine has (the reference recordings, a Vulkan
+//! Shared helpers of tests: optional resources of a machine (the reference recordings, a Vulkan
 //! device), and sockets of the [`loopback`] interface.
 //!
-//! A test skips where such a thing is absent, and says so. `FLOCKEYE_REQUIRE=recordings,vulkan`
-//! names what must be there. Then the test fails instead, so that a run that skipped cannot pass
-//! for one that tested. Others are `namespaces` (mounts of our own), `radio` (network namespaces
-//! with /dev/net/tun), `python` and `c` (what stages in them need), `browser` (Chromium), and
-//! `fault-points` (a launcher that was built with them).
+//! A test prints a message and skips if its resource is absent.
+//! `FLOCKEYE_REQUIRE=recordings,vulkan` lists required resources. If one of them is absent, the
+//! test fails instead of skipping. Other names are `namespaces` (mount namespaces), `radio`
+//! (network namespaces with /dev/net/tun), `python` and `c` (tools for stages in these languages),
+//! `browser` (Chromium), and `fault-points` (a launcher that was built with them).
 
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
@@ -13,7 +13,7 @@ use std::path::{Path, PathBuf};
 pub mod loopback;
 pub mod python;
 
-/// The environment variable that names what must be there, separated by commas.
+/// The environment variable with the required resources, separated by commas.
 pub const REQUIRE: &str = "FLOCKEYE_REQUIRE";
 
 /// The name of the reference recordings in [`REQUIRE`].
@@ -31,11 +31,11 @@ pub const DATA: &str = "FLOCKEYE_DATA";
 /// The default of [`DATA`].
 pub const DEFAULT_DATA: &str = "../shared/data";
 
-/// The folder of the reference recordings. Where it is absent, says so and returns `None`; the test
-/// ends there.
+/// The folder of the reference recordings. If it is absent, prints a message and returns `None`;
+/// the test then ends.
 ///
 /// # Panics
-/// Where it is absent but [`REQUIRE`] names it, or [`DATA`] names another folder that is absent.
+/// The folder is absent but required by [`REQUIRE`], or the folder in [`DATA`] does not exist.
 pub fn recordings() -> Option<PathBuf> {
     let named = std::env::var_os(DATA).filter(|named| !named.is_empty());
     let folder = data_folder(named.as_deref());
@@ -57,10 +57,10 @@ fn data_folder(named: Option<&OsStr>) -> PathBuf {
     repository.join(named.unwrap_or(OsStr::new(DEFAULT_DATA)))
 }
 
-/// Says that a test skips because `what` is absent.
+/// Prints that a test skips because `what` is absent.
 ///
 /// # Panics
-/// Where [`REQUIRE`] has `name`.
+/// [`REQUIRE`] contains `name`.
 pub fn absent(name: &str, what: &str) {
     let required = std::env::var(REQUIRE).unwrap_or_default();
     assert!(!has(&required, name), "{what}: absent, but {REQUIRE} names '{name}'");

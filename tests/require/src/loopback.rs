@@ -1,4 +1,4 @@
-//! What tests with real sockets on the loopback interface share.
+//! Shared helpers of tests with real sockets on the loopback interface.
 
 use std::io::{Read, Write};
 use std::net::{Shutdown, TcpListener, TcpStream};
@@ -8,13 +8,13 @@ use std::sync::mpsc::{RecvTimeoutError, channel};
 use std::thread;
 use std::time::Duration;
 
-/// How long a test may take.
+/// Time limit of a test.
 pub const WATCHDOG: Duration = Duration::from_secs(60);
 
-/// Runs `body` and fails when it does not come back.
+/// Runs `body`, and fails if it does not return.
 ///
 /// # Panics
-/// The body does, or is still not done after [`WATCHDOG`].
+/// The body panics, or has not returned after [`WATCHDOG`].
 pub fn watched(body: impl FnOnce() + Send + 'static) {
     let (done, finished) = channel();
     let test = thread::spawn(move || {
@@ -27,7 +27,7 @@ pub fn watched(body: impl FnOnce() + Send + 'static) {
     }
 }
 
-/// Looks again and again until there is something to see.
+/// Calls `look` repeatedly until it returns a value.
 pub fn until<T>(mut look: impl FnMut() -> Option<T>) -> T {
     loop {
         if let Some(seen) = look() {
@@ -37,10 +37,10 @@ pub fn until<T>(mut look: impl FnMut() -> Option<T>) -> T {
     }
 }
 
-/// A port that nobody has now.
+/// A free port.
 ///
 /// # Panics
-/// There is none.
+/// There is no free port.
 pub fn free_port() -> u16 {
     let socket = TcpListener::bind("127.0.0.1:0").and_then(|socket| socket.local_addr());
     socket.unwrap_or_else(|error| panic!("no port is free: {error}")).port()
@@ -51,18 +51,18 @@ pub fn tcp(port: u16) -> String {
     format!("tcp/127.0.0.1:{port}")
 }
 
-/// Passes bytes on between whoever connects and another port, or holds them while it is stalled.
+/// Passes bytes between its clients and another port, or holds them while it is stalled.
 pub struct Relay {
-    /// Where to connect.
+    /// The port for clients.
     pub port: u16,
     /// Whether bytes are held.
     pub stalled: Arc<AtomicBool>,
-    /// How many have connected.
+    /// Number of clients that have connected.
     pub links: Arc<AtomicUsize>,
 }
 
 impl Relay {
-    /// Begins to pass on to the port `to`.
+    /// Starts a relay to the port `to`.
     ///
     /// # Panics
     /// No port is free.

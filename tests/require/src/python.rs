@@ -1,13 +1,13 @@
-//! Programs in Python that tests run.
+//! Python programs for tests.
 
 use std::path::PathBuf;
 use std::process::{Child, Command};
 
-/// Python that can import `packages`, separated by commas; `make python` makes it. Where it is
-/// absent, says so and returns `None`; the test ends there.
+/// A Python that can import `packages`, separated by commas; `make python` installs it. If it is
+/// absent, prints a message and returns `None`; the test then ends.
 ///
 /// # Panics
-/// Where it is absent but [`REQUIRE`](crate::REQUIRE) names it.
+/// Python is absent but required by [`REQUIRE`](crate::REQUIRE).
 pub fn python(packages: &str) -> Option<PathBuf> {
     let program = std::env::current_exe().ok()?;
     // target/PROFILE/deps/PROGRAM
@@ -25,12 +25,12 @@ pub fn python(packages: &str) -> Option<PathBuf> {
     None
 }
 
-/// A program that is killed when this is dropped, so that a failed test leaves none behind.
+/// A program that is killed when the value is dropped, so that a failed test leaves no process.
 pub struct Running(pub Child);
 
 impl Drop for Running {
     fn drop(&mut self) {
-        // It may have ended by itself.
+        // An error is ignored: the program may have ended by itself.
         self.0.kill().ok();
         self.0.wait().ok();
     }

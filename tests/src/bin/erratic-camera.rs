@@ -1,6 +1,5 @@
-//! A camera whose frames come when they like, and whose clock jumps: what
-//! `stages.simulator.command` may be set to. It shows the simulated world, and says of each frame
-//! what [`exposure`] makes of it.
+//! A camera with irregular frames and a clock that jumps, for `stages.simulator.command`. It shows
+//! the simulated world, with times of frames from [`exposure`].
 
 use std::process::ExitCode;
 
@@ -11,7 +10,7 @@ use flockeye_runtime::ports::{Ports, Publisher};
 use flockeye_runtime::{Context, Stage, Step, clock};
 use flockeye_simulator::{World, WorldParameters};
 
-/// Frames, after which it is over.
+/// Number of frames.
 const FRAMES: u64 = 150;
 
 struct Erratic {
@@ -22,13 +21,13 @@ struct Erratic {
     generation: u32,
 }
 
-/// Milliseconds from a frame to the next, and by how much the camera's clock is off, seconds.
+/// Milliseconds to the next frame, and error of the camera's clock, seconds.
 fn exposure(frame: u64) -> (i64, i64) {
     match frame {
         0..40 => (33, 0),
-        // Two at once, then nothing for long.
+        // Pairs of frames with long pauses.
         40..60 => ([2, 150][frame as usize % 2], 0),
-        // Back, and ahead, each for good.
+        // The clock jumps back, later ahead, and stays there.
         60..100 => (33, -3),
         _ => (33, 40),
     }
@@ -69,7 +68,7 @@ impl Stage for Erratic {
         let (width, height) = (camera.width(), camera.height());
         let mut loan = self.frames.loan(width as usize * height as usize)?;
         self.world.render(self.next, loan.items_mut(), width as usize)?;
-        loan.send(FrameHeader {
+        let header = FrameHeader {
             stamp: FrameStamp {
                 sequence: self.next,
                 exposure_ns: now_ns + off_s * 1_000_000_000,
@@ -85,7 +84,8 @@ impl Stage for Erratic {
             transfer: Transfer::Srgb.code(),
             range: Range::Full.code(),
             ..FrameHeader::default()
-        })?;
+        };
+        self.frames.send_loan(loan, header)?;
         self.next += 1;
         self.due_ns = now_ns + pause_ms * 1_000_000;
         Ok(Step::WaitUntil(self.due_ns))

@@ -6,9 +6,9 @@
 //! make golden-check   # flies the same with this build, and names the first row that differs
 //! ```
 //!
-//! A change that only moves, renames or splits code keeps every row byte for byte. The latency is
-//! left out, because it is the only column that depends on time. Both builds should have the same
-//! profile and run on the same machine.
+//! A change that only moves, renames or splits code keeps every row byte for byte. The column of
+//! latencies is left out, because only it depends on time. Both builds should have the same profile
+//! and run on the same machine.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode, Stdio};
@@ -20,7 +20,7 @@ use flockeye_tests::{flockeye, recordings, unique};
 const FOUR_BODIES: &str = "bodies.list=[{name: alpha}, {name: bravo, first_id: 17}, \
      {name: charlie, first_id: 34}, {name: delta, first_id: 51}]";
 
-/// One flight that is flown, by a name and the arguments of `flockeye up`.
+/// A golden flight: its name and the arguments of `flockeye up`.
 struct Flight {
     name: &'static str,
     /// Folder and file of a recording below `FLOCKEYE_DATA`; `None`: simulated.
@@ -135,7 +135,7 @@ fn run() -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Flies one flight without loss. Gives its poses as rows without the latency, or `None` where its
+/// Runs a flight without loss. Returns its poses as rows without the latency, or `None` if its
 /// recording is absent.
 fn fly(flight: &Flight) -> anyhow::Result<Option<Vec<String>>> {
     let poses = std::env::temp_dir().join(format!("{}.csv", unique(flight.name)));
@@ -173,7 +173,7 @@ fn without_latency(text: &str) -> anyhow::Result<Vec<String>> {
     Ok(text.lines().map(row).collect())
 }
 
-/// What differs first between two tables, in words.
+/// The first difference between two tables, as text.
 fn first_difference(before: &[String], now: &[String]) -> Option<String> {
     let row = before.iter().zip(now).position(|(before, now)| before != now);
     match row {

@@ -2,14 +2,14 @@
 //!
 //! | stage | misdeed | what it does |
 //! | --- | --- | --- |
-//! | any | `mute` | says that it is ready, sends health, and does nothing |
-//! | egomotion | `lie` | says of each frame that the camera has turned by ten degrees, and is sure of it |
-//! | rectification | `boast` | ends each frame with three views, of which there is none |
-//! | fusion | `unplanned` | has a last word on each frame, and no plan but the first |
+//! | any | `mute` | reports that it is ready, sends health, and does nothing |
+//! | egomotion | `lie` | sends a rotation of ten degrees with a small covariance for each frame |
+//! | rectification | `boast` | ends each frame with a count of three views, but sends none |
+//! | fusion | `unplanned` | sends last tracks for each frame, but no plan except the first |
 //! | simulator | `backwards` | counts its frames down, with times of another clock |
 //! | inertial | `repeat` | sends each sample twice |
 //!
-//! How detectors misbehave: `silent-detector`, which is written without the runtime.
+//! Misbehaving detectors are in `silent-detector`, which is written without the runtime.
 
 use flockeye_contract::{
     FrameEnd, FrameEnds, FrameHeader, FrameStamp, Frames, ImuHeader, ImuSample, Imus, PlanHeader,

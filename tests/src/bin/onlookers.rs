@@ -1,8 +1,8 @@
-//! What onlookers take from a pipeline: `onlookers [SECONDS]` prints a table.
+//! Measures the cost of onlookers for a pipeline: `onlookers [SECONDS]` prints a table.
 //!
-//! Each row is a flight of the default pipeline, with nobody beside it, with the view, or with a
-//! recorder. A watcher is a page's socket without a page: it takes pictures and says so. What it
-//! takes itself is not counted.
+//! Each row is a flight of the default pipeline: alone, with the view, or with a recorder. A
+//! watcher is the socket of a page without a browser. It receives and acknowledges pictures. Its
+//! own cost is not counted.
 
 use std::net::TcpStream;
 use std::process::Command;
@@ -16,12 +16,12 @@ use flockeye_tests::{Flight, Scratch, flockeye, ticks_of, unique};
 use rustix::process::Signal;
 use tungstenite::Message;
 
-/// A pipeline and its onlooker have settled.
+/// Time after which a pipeline and its onlooker have settled.
 const WARM_UP: Duration = Duration::from_secs(5);
-/// Clock ticks in a second, of /proc.
+/// Clock ticks of /proc per second.
 const TICKS: f64 = 100.0;
 
-/// Who looks on.
+/// The onlooker of a flight.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Onlooker {
     Nobody,
@@ -112,7 +112,7 @@ fn measure(onlooker: Onlooker, time: Duration) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// The frames that a flight says it has searched and skipped.
+/// The searched and the skipped frames in a flight's output.
 fn counted(output: &str) -> Option<(u64, u64)> {
     let (before, after) = output.split_once(" frames searched, ")?;
     let searched = before.rsplit(|letter: char| !letter.is_ascii_digit()).next()?;
@@ -120,7 +120,7 @@ fn counted(output: &str) -> Option<(u64, u64)> {
     Some((searched.parse().ok()?, skipped.parse().ok()?))
 }
 
-/// A page's socket that takes pictures.
+/// The socket of a page that receives pictures.
 struct Watcher {
     pictures: Arc<AtomicU32>,
     is_over: Arc<AtomicBool>,

@@ -1,13 +1,14 @@
-//! How many drones one router and one machine carry: `peer-load [SECONDS] [OBSERVERS[@HZ]...]`
-//! prints a table. With a rate the router passes reports of each observer on to each other one at
-//! most so often.
+//! Measures how many drones a router and a machine can serve: `peer-load [SECONDS]
+//! [OBSERVERS[@HZ]...]` prints a table. With a rate the router limits the reports of each observer
+//! to each other one.
 //!
-//! Each observer is a process of its own, a client of the router, that reports one neighbour 30
-//! times a second and hears all others. All of them and the router share this machine's processors.
+//! Each observer is a process and a client of the router. It reports one neighbour 30 times a
+//! second and receives the reports of all others. All observers and the router share this machine's
+//! processors.
 
 use std::collections::BTreeMap;
 use std::io::{BufRead, BufReader, Read, Write};
-use std::process::{Child, Command, Stdio};
+use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail};
@@ -20,21 +21,22 @@ use flockeye_network::{
     Network, NetworkMode, NetworkParameters, monotonic_now_ns, utc_from_monotonic,
 };
 use flockeye_require::loopback::{free_port, tcp};
+use flockeye_require::python::Running;
 use flockeye_tests::ticks_of;
 
-/// From report to report.
+/// Time between two reports.
 const PERIOD: Duration = Duration::from_nanos(33_333_333);
-/// Observers, and at most how often each hears each other one.
+/// Numbers of observers, with the rate limit between each two.
 const LOADS: [&str; 9] = ["2", "4", "8", "16", "24", "32", "48", "64", "32@10"];
-/// Its name.
+/// Name of the swarm.
 const SWARM: &str = "load";
-/// Reports before these are not counted: links and tokens are under way.
+/// Reports in this first time are not counted: links and tokens are being set up.
 const WARM_UP: Duration = Duration::from_secs(3);
-/// Reports that may wait to be counted.
+/// Size of the queue of received reports.
 const WAITING: usize = 65_536;
-/// Clock ticks in a second, of /proc.
+/// Clock ticks of /proc per second.
 const TICKS: f64 = 100.0;
-/// The first argument of a process that is one observer.
+/// First argument of an observer's process.
 const OBSERVER: &str = "observer";
 
 fn main() -> anyhow::Result<()> {
@@ -67,11 +69,11 @@ fn measure(load: &str, time: Duration) -> anyhow::Result<()> {
         rate_hz.into_iter().flat_map(|hz| std::iter::once(hz.to_owned()).chain(keys.clone()));
     let program = std::env::current_exe()?.with_file_name("zenoh-router");
     let router = Command::new(program).arg(&endpoint).args(downsampling).spawn();
-    let router = Ended(router.context("the router")?);
+    let router = Running(router.context("the router")?);
     let mut observers = (0..count)
         .map(|number| Process::start(number, &endpoint, time))
         .collect::<anyhow::Result<Vec<_>>>()?;
-    // All of them are there before one of them says something.
+    // All observers are ready before the first one sends a report.
     observers.iter_mut().try_for_each(Process::wait_until_ready)?;
     let begin_ns = monotonic_now_ns() + 100_000_000;
     observers.iter_mut().try_for_each(|observer| observer.begin(begin_ns))?;
@@ -101,30 +103,19 @@ fn measure(load: &str, time: Duration) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// A program that ends with this value.
-struct Ended(Child);
-
-impl Drop for Ended {
-    fn drop(&mut self) {
-        // It may have ended by itself.
-        drop(self.0.kill());
-        drop(self.0.wait());
-    }
-}
-
-/// An observer, seen from the program that counts.
+/// The process of an observer.
 struct Process {
-    child: Ended,
+    child: Running,
     output: BufReader<std::process::ChildStdout>,
 }
 
-/// What an observer has counted.
+/// The counts of an observer.
 struct Heard {
-    /// Reports that it sent.
+    /// Number of sent reports.
     sent: u64,
-    /// Processor time that it used, in clock ticks.
+    /// Processor time, clock ticks.
     ticks: f64,
-    /// How long each report was under way to it.
+    /// Latency of each received report, milliseconds.
     took_ms: Vec<f32>,
 }
 
@@ -136,7 +127,7 @@ impl Process {
             .stdout(Stdio::piped())
             .spawn()?;
         let output = BufReader::new(child.stdout.take().context("it is piped")?);
-        Ok(Self { child: Ended(child), output })
+        Ok(Self { child: Running(child), output })
     }
 
     fn wait_until_ready(&mut self) -> anyhow::Result<()> {
@@ -164,7 +155,7 @@ impl Process {
     }
 }
 
-/// One observer: it says that it is ready, is told when to begin, and says what it has counted.
+/// Runs one observer: it prints that it is ready, waits for the start, and prints its counts.
 fn observe(number: usize, endpoint: &str, time: Duration) -> anyhow::Result<()> {
     let name = name(number);
     let network = Network::open(&NetworkParameters {
@@ -198,7 +189,7 @@ fn observe(number: usize, endpoint: &str, time: Duration) -> anyhow::Result<()> 
         frame += 1;
         reporter.report(report(&name, frame, 1))?;
         sent += u64::from(is_counted);
-        // What is still under way at the end counts as lost: a few in each hundred.
+        // Reports in transit at the end count as lost, a few percent.
         while let Some(left) = (PERIOD * frame as u32).checked_sub(begun.elapsed()) {
             let Some(heard) = stream.recv_timeout(left) else { break };
             if is_counted && heard.report.observer != name {
@@ -217,7 +208,7 @@ fn name(number: usize) -> String {
     format!("drone-{number}")
 }
 
-/// A report of a usual size. Its stream's time is when it was made.
+/// A report of typical size. Its stream time is the time of its creation.
 fn report(observer: &str, frame: u64, targets: usize) -> FrameReport {
     let now_ns = monotonic_now_ns();
     FrameReport {

@@ -1,8 +1,8 @@
-//! How soon two drones hear each other again after their radio was cut: `radio-cuts [COUNT]
-//! [SECONDS]` prints a table.
+//! Measures how soon two drones receive each other's reports after a cut of the radio: `radio-cuts
+//! [COUNT] [SECONDS]` prints a table.
 //!
-//! Before each cut the radio loses 20 % and delays 100 to 150 ms. After it the radio is clear, or
-//! as bad as before.
+//! Before each cut the radio loses 20 % of the packets and delays the others by 100 to 150 ms.
+//! After the cut it is clear, or as bad as before.
 
 use std::time::Duration;
 

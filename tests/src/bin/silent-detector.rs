@@ -1,18 +1,18 @@
-//! A detector as somebody else would write it, from docs/CONTRACT.md alone: nothing of the runtime
-//! is in it. It acknowledges every view, and never finds a marker.
+//! A detector that is written from docs/CONTRACT.md alone, without the runtime. It acknowledges
+//! every view, and never finds a marker.
 //!
 //! With an argument it misbehaves in one way:
 //!
 //! | argument | what it does |
 //! | --- | --- |
-//! | `mute` | takes views and answers none |
-//! | `hold` | takes views, keeps them and answers none |
-//! | `spin` | takes nothing and uses all its processor |
-//! | `hang` | says that it is ready, and then nothing at all |
-//! | `late` | never says that it is ready |
-//! | `lie` | before each record sends one that announces hits which it does not hold |
-//! | `impersonate` | before each record sends one of a worker that there is none of |
-//! | `leave` | ends when it has taken another's place |
+//! | `mute` | receives views and answers none |
+//! | `hold` | receives views, keeps them and answers none |
+//! | `spin` | receives nothing and uses a whole processor |
+//! | `hang` | reports that it is ready, and then sends nothing |
+//! | `late` | never reports that it is ready |
+//! | `lie` | sends before each record one whose hit count is larger than its markers |
+//! | `impersonate` | sends before each record one of a worker that does not exist |
+//! | `leave` | ends after it has replaced another process |
 
 use std::error::Error;
 use std::path::PathBuf;
@@ -38,7 +38,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let config = Config::from_file(&FilePath::new(file.to_string_lossy().as_bytes())?)?;
     let node = NodeBuilder::new().config(&config).create::<ipc::Service>()?;
 
-    // Each worker has views of its own.
+    // Each worker has its own lane of views.
     let lane: ServiceName = format!("{}/{worker}", Views::NAME).as_str().try_into()?;
     let version = AttributeVerifier::new()
         .require(&VERSION_ATTRIBUTE.try_into()?, &CONTRACT_VERSION.try_into()?)?;
@@ -79,7 +79,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     }
     let mut next_report = start;
     let mut held = Vec::new();
-    // The launcher ends it with SIGTERM, which nothing here stands against.
+    // The launcher ends this process with SIGTERM, which is not handled here.
     loop {
         if Instant::now() >= next_report {
             report.sent_ns = now_ns();
@@ -100,7 +100,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         }
         wake.timed_wait(|_| {}, Duration::from_millis(100))?;
         if misdeed == "hold" {
-            // At some time it may hold no more.
+            // The number of messages that it may hold is limited.
             while let Ok(Some(view)) = views.receive() {
                 held.push(view);
             }
@@ -141,7 +141,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     }
 }
 
-/// A topic to publish on, and the bell beside it.
+/// The publisher of a topic, and the event that wakes its subscribers.
 struct Output<T: Topic> {
     publisher: Publisher<ipc::Service, [T::Item], T::Header>,
     notifier: Notifier<ipc::Service>,

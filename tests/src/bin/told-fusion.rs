@@ -1,7 +1,6 @@
-//! A fusion that sees nothing: it says where it is told that neighbours are. `told-fusion PERIOD_MS
-//! NAME...`
+//! A fusion without input: it sends poses of the named neighbours. `told-fusion PERIOD_MS NAME...`
 //!
-//! With it a gateway flies without a camera, so that many of them fit on one machine.
+//! With it a gateway runs without a camera, so that many gateways fit on one machine.
 
 use std::time::Instant;
 
@@ -13,7 +12,7 @@ use flockeye_runtime::ports::Publisher;
 use flockeye_runtime::stage::StageRuntime;
 use flockeye_runtime::{Step, clock};
 
-/// So old a pose is when it is told, nanoseconds.
+/// Age of a pose when it is sent, nanoseconds.
 const LATENCY_NS: i64 = 20_000_000;
 
 fn main() -> anyhow::Result<()> {

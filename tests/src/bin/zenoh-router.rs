@@ -1,8 +1,8 @@
-//! A Zenoh router, as `zenohd` is one, until it is killed.
+//! A Zenoh router like `zenohd`, which runs until it is killed.
 //!
-//! `zenoh-router FILE` has its configuration from a file. `zenoh-router ENDPOINT [HZ KEY...]`
-//! passes what is published under each of these keys on over each link at most so often. A rule of
-//! Zenoh counts all that its key expression matches together. So each key has a rule of its own.
+//! `zenoh-router FILE` reads its configuration from a file. `zenoh-router ENDPOINT [HZ KEY...]`
+//! limits the rate of messages with each of these keys on each link. A rule of Zenoh limits all
+//! matching keys together, so each key has a rule of its own.
 
 use std::path::Path;
 

@@ -100,7 +100,7 @@ fn recorded_rotations_are_judged_by_the_truth() {
     // A lossless run predicts to the exposure itself: nothing to judge.
     assert!(found["predictions"].is_null() && number(&found["measured"]) > 0.0, "{found}");
 
-    succeeds(&["eval", "--rotations", rotations, "--truth", truth]);
+    let output = succeeds(&["eval", "--rotations", rotations, "--truth", truth]);
     for wanted in ["known in 44 frames, not known in 1", "error to each frame median", "its NEES"] {
         assert!(output.contains(wanted), "{wanted:?} is missing in:\n{output}");
     }

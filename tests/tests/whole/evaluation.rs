@@ -73,7 +73,7 @@ fn a_flight_is_judged_and_drawn() {
     assert_eq!(page.matches("<svg").count(), 8, "distance, three axes, three looks, the error");
     assert!(!page.contains("http"), "nothing is fetched");
 
-    succeeds(&files);
+    let output = succeeds(&files);
     for wanted in ["distance m", "all ", "NEES of tracks, position: mean", "latency median"] {
         assert!(output.contains(wanted), "{wanted:?} is missing in:\n{output}");
     }

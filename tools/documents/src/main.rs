@@ -1,8 +1,7 @@
 //! Writes the man pages and the shell completions of `flockeye` to a folder: `man/` and
 //! `completions/`.
 //!
-//! The commands of several programs are one command line for whoever types it, so here they are put
-//! together.
+//! Users see the commands of several programs as one command line, so they are combined here.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -19,7 +18,7 @@ fn main() -> anyhow::Result<()> {
     write(&PathBuf::from(&arguments[0]))
 }
 
-/// Writes everything below `folder`.
+/// Writes all files below `folder`.
 fn write(folder: &Path) -> anyhow::Result<()> {
     let [man, completions] = ["man", "completions"].map(|name| folder.join(name));
     for folder in [&man, &completions] {
@@ -33,7 +32,7 @@ fn write(folder: &Path) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// The command line of all programs together.
+/// The combined command line of all programs.
 fn whole_command() -> Command {
     let mut whole = flockeye_launcher::commands::own_command();
     let passed_on = [("record", RecordArguments::command()), ("view", ViewArguments::command())];
@@ -42,7 +41,7 @@ fn whole_command() -> Command {
             whole.mut_subcommand(name, |_| command.name(name).bin_name(format!("flockeye {name}")));
     }
     for program in [flockeye_replay::commands::command(), flockeye_workshop::commands::command()] {
-        // A command that `flockeye` alone does stays as it is.
+        // A command of `flockeye` itself is not changed.
         whole = whole.mut_subcommands(|own| {
             let found = program.find_subcommand(own.get_name());
             found.filter(|found| !found.is_hide_set()).cloned().unwrap_or(own)

@@ -1,13 +1,13 @@
-//! `flockeye calibrate`: what is really where, from flights or recordings.
+//! `flockeye calibrate`: measures real positions, curves and times from flights or recordings.
 //!
 //! | module | what it finds |
 //! | --- | --- |
-//! | [`body`] | where a body's markers really are |
-//! | [`mount`] | where the camera sits on the drone |
-//! | [`lenses`] | how the camera's two lenses lie to each other |
+//! | [`body`] | the real poses of a body's markers |
+//! | [`mount`] | the camera's pose on the drone |
+//! | [`lenses`] | the relative pose of the camera's two lenses |
 //! | [`response`] | the curve between light and code values |
-//! | [`latency`] | how late a camera's frames arrive |
-//! | [`imu`] | how the inertial sensor lies to the camera, and how its clock goes |
+//! | [`latency`] | the latency of a camera's frames |
+//! | [`imu`] | the inertial sensor's rotation and time offset relative to the camera |
 
 use std::ffi::OsString;
 
@@ -31,17 +31,17 @@ pub use imu::CalibrateImuArguments;
 pub use mount::CalibrateMountArguments;
 pub use response::CalibrateResponseArguments;
 
-/// The distance that what a calibration leaves is stated for, metres.
+/// Distance for which the remaining error of a calibration is stated, metres.
 const STATED_AT_M: f64 = 1.5;
 
-/// The configuration of a run in which every frame is searched, and nothing goes over the network.
+/// The configuration of a run that searches every frame and sends nothing over the network.
 fn lossless(configuration: &Configuration) -> anyhow::Result<Configuration> {
     let mut configuration = configuration.clone().with_every_frame(&[])?;
     configuration.set.extend(apart());
     Ok(configuration)
 }
 
-/// The configuration of a run in which each frame is searched to its end and stands for itself.
+/// The configuration of a run that searches each frame completely and independently of others.
 fn frame_by_frame(configuration: &Configuration) -> Configuration {
     let mut configuration = configuration.clone().in_profile(Profile::Stills);
     configuration.set.extend(apart());
@@ -49,13 +49,13 @@ fn frame_by_frame(configuration: &Configuration) -> Configuration {
     configuration
 }
 
-/// Settings of a run that touches no other.
+/// Settings that separate a run from all others.
 fn apart() -> [String; 2] {
     ["gateway.enabled=false".to_owned(), format!("instance=calibrate-{}", std::process::id())]
 }
 
-/// Runs `flockeye up`, and gives what it writes to the file of its option `option`. `what`: of what
-/// the run is, for a complaint where it is quiet.
+/// Runs `flockeye up`, and returns the rows that it writes to the file of its option `option`.
+/// `what` describes the run in error messages of a quiet run.
 fn written<R: TableRow>(
     configuration: &Configuration,
     option: &str,
@@ -74,7 +74,7 @@ fn written<R: TableRow>(
     Ok(read(&file)?)
 }
 
-/// Prints what was found, as JSON or as text.
+/// Prints the result as JSON or as text.
 fn show(
     json: bool,
     as_json: impl FnOnce() -> Value,
@@ -87,10 +87,10 @@ fn show(
 
 /// A transform as a mount in `pipeline.yaml`.
 fn mount_of(transform: &Isometry3<f64>) -> Mount {
-    // Division gives the shortest text; 0 is added so that no number is -0.
+    // The division gives a number with the shortest text. Adding 0 turns -0 into 0.
     let rounded = |number: f64, steps: f64| (number * steps).round() / steps + 0.0;
-    // The configured quaternion has a length of 1 to rounding; where w is negative, its opposite is
-    // the same.
+    // The quaternion has length 1 up to rounding. If w is negative, its negative is printed, which
+    // is the same rotation.
     let sign = if transform.rotation.w < 0.0 { -1.0 } else { 1.0 };
     let orientation = transform.rotation.coords * sign;
     Mount {

@@ -1,5 +1,5 @@
-//! Mathematics of calibration: where the parts of a drone really are, from recorded rays and
-//! rotations. The commands around it are in `calibrate`.
+//! Mathematics of calibration: real poses of a drone's parts, from recorded rays and rotations. The
+//! commands that use it are in `calibrate`.
 //!
 //! | module | what it estimates |
 //! | --- | --- |

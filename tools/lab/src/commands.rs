@@ -63,10 +63,10 @@ enum CalibrateSubcommand {
     Response(CalibrateResponseArguments),
 }
 
-/// Reads the command line and does what it asks for.
+/// Parses the command line and runs the command.
 ///
 /// # Errors
-/// As the command.
+/// The errors of the command.
 pub fn run() -> anyhow::Result<()> {
     match Lab::parse() {
         Lab::Eval(arguments) => eval::run(&arguments),

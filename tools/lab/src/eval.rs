@@ -43,10 +43,11 @@ pub struct EvalArguments {
     pub report: Option<PathBuf>,
 }
 
-/// Prints the comparison, and writes the report if one is asked for.
+/// Prints the comparison, and writes the report if requested.
 ///
 /// # Errors
-/// A file cannot be read or is invalid, the two share no frame, or the report cannot be written.
+/// A file cannot be read or is invalid, the files have no frame in common, or the report cannot be
+/// written.
 pub fn run(arguments: &EvalArguments) -> anyhow::Result<()> {
     let truth: Vec<TruthRow> = match &arguments.truth {
         Some(file) => {
@@ -136,7 +137,7 @@ fn compare_rotations(
     Ok(RotationEvaluation::of(&rows, known))
 }
 
-/// Refuses a recording of another flight than the truth's.
+/// Refuses a recording that has no frame in common with the truth.
 fn share_a_frame(
     recorded: impl Iterator<Item = u64> + Clone,
     recorded_file: &Path,

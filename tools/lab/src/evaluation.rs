@@ -1,12 +1,12 @@
-//! Poses against the truth: how many of the localisable bodies were measured, how well, how soon,
-//! and whether errors are as large as their covariances say.
+//! Comparison of poses with the truth: share of measured bodies, errors, latency, and consistency
+//! of the covariances.
 //!
 //! | module | what it does |
 //! | --- | --- |
-//! | [`error`] | how far a pose is from the truth |
+//! | [`error`] | errors of poses |
 //! | [`statistics`] | means, quantiles, correlated samples |
 //! | [`consistency`] | errors against their covariances |
-//! | [`path`] | the truth between frames |
+//! | [`path`] | the truth at times between frames |
 //! | [`predictions`] | poses predicted for the time of sending |
 //! | [`rotations`] | the camera's own rotation |
 
@@ -32,7 +32,8 @@ use consistency::{Consistency, in_series};
 use error::{ErrorSample, Errors, PoseOffset};
 use predictions::Predictions;
 
-/// Ranges of distance, metres; then the range of the paper, the one beyond it, and everything.
+/// Ranges of distance, metres. The last three are the paper's range, the range beyond it, and all
+/// distances.
 const RANGES_M: [(f64, Option<f64>); 8] = [
     (0.0, Some(1.0)),
     (1.0, Some(1.5)),
@@ -47,64 +48,64 @@ const RANGES_M: [(f64, Option<f64>); 8] = [
 /// The results in one range of distances.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Bin {
-    /// From this distance, metres.
+    /// Least distance, metres.
     pub from_m: f64,
-    /// To this distance, metres; `None`: to any distance.
+    /// Largest distance, metres; `None`: any distance.
     pub to_m: Option<f64>,
     /// Bodies with two or more markers wholly visible and localisable.
     pub eligible: usize,
-    /// Bodies that were measured in that frame.
+    /// Eligible bodies that were measured in their frame.
     pub measured: usize,
     /// Errors of the poses published for them; `None` if there are none.
     pub published: Option<Errors>,
-    /// Errors of the frames' own measurements; `None` if there are none, or none was recorded.
+    /// Errors of the frames' own measurements; `None` if none was recorded.
     pub measurement: Option<Errors>,
 }
 
-/// What measurements rest on.
+/// Numbers of measurements by their method.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
 pub struct Sources {
-    /// Decoded markers.
+    /// Measured by decoded markers.
     pub decoded: usize,
-    /// The body aligned with the image.
+    /// Measured by alignment of the body's model with the image.
     pub aligned: usize,
 }
 
 /// Poses that were only predicted.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Coasted {
-    /// How many.
+    /// Number of poses.
     pub count: usize,
-    /// Their errors, where the truth has the body. `None` if it never has.
+    /// Errors of the poses; `None` if the truth contains none of them.
     pub errors: Option<Errors>,
 }
 
-/// A measurement that is too wrong, or of a body that is not there.
+/// A measurement with a large error, or of a body that is not in view.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct FalsePose {
-    /// The frame.
+    /// Number of the frame.
     pub frame: u64,
     /// The body that was reported.
     pub target: String,
-    /// Its position error, metres; `None`: the body is not there.
+    /// Position error, metres; `None`: the body is not in the truth.
     pub position_m: Option<f64>,
-    /// Its rotation error, degrees.
+    /// Rotation error, degrees.
     pub rotation_deg: Option<f64>,
 }
 
-/// Exposure (in a lossless run: frame published) to pose published, milliseconds, of measured
-/// poses.
+/// Latency of measured poses, milliseconds: from exposure (in a lossless run: from the frame's
+/// publication) to the pose's publication.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct LatencyQuantiles {
-    /// Half of the poses are sooner.
+    /// Median.
     pub median_ms: f64,
-    /// 95 % of the poses are sooner.
+    /// 95 % quantile.
     pub p95_ms: f64,
-    /// 99 % of the poses are sooner.
+    /// 99 % quantile.
     pub p99_ms: f64,
 }
 
-/// Whether covariances are right; `None` where there are none.
+/// Consistency of the covariances; `None` without covariances.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Covariances {
     /// Consistency of the frames' own measurements.
@@ -118,24 +119,24 @@ pub struct Covariances {
 /// The results.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Evaluation {
-    /// By distance; the last is everything.
+    /// Results by distance. The last bin contains all distances.
     pub bins: Vec<Bin>,
     /// Measured poses, eligible or not.
     pub measured: usize,
-    /// How many rest on what.
+    /// Numbers of measured poses by method.
     pub sources: Sources,
     /// Poses that were only predicted.
     pub coasted: Coasted,
-    /// Poses predicted for the time of sending; `None` where none reaches beyond its exposure.
+    /// Poses predicted for the time of sending; `None` if none is later than its exposure.
     pub predictions: Option<Predictions>,
-    /// Measurements that are wrong by more than 10 cm or 10 degrees, or of a body that is not
-    /// there.
+    /// Number of measurements with an error over 10 cm or 10 degrees, or of a body that is not in
+    /// view.
     pub false_poses: usize,
-    /// Where they are.
+    /// Frames and errors of the false poses.
     pub false_at: Vec<FalsePose>,
     /// The latency of measured poses; `None` if there are none.
     pub latency: Option<LatencyQuantiles>,
-    /// Whether errors are as large as their covariances say.
+    /// Consistency of errors with their covariances.
     pub nees: Covariances,
 }
 
@@ -147,7 +148,7 @@ fn by_key<'a>(poses: Vec<&'a PoseRow>) -> BTreeMap<BodyFrame<'a>, &'a PoseRow> {
 }
 
 impl Evaluation {
-    /// Compares poses with the truth, row by row of frame and body.
+    /// Compares poses with the truth of the same frame and body.
     pub fn of(poses: &[PoseRow], truth: &[TruthRow]) -> Self {
         let truths: BTreeMap<BodyFrame<'_>, &TruthRow> =
             truth.iter().map(|row| ((row.body.as_str(), row.frame), row)).collect();
@@ -185,17 +186,17 @@ impl Evaluation {
         }
     }
 
-    /// Everything within 1.5 m, the paper's range.
+    /// The bin within 1.5 m, the paper's range.
     pub fn within_1_5_m(&self) -> Option<&Bin> {
         self.between(0.0, 1.5)
     }
 
-    /// Everything between two distances, metres; `None` if there is no such bin.
+    /// The bin between two distances, metres; `None` if there is no such bin.
     pub fn between(&self, from_m: f64, to_m: f64) -> Option<&Bin> {
         self.bins.iter().find(|bin| (bin.from_m, bin.to_m) == (from_m, Some(to_m)))
     }
 
-    /// Everything.
+    /// The bin of all distances.
     pub fn everything(&self) -> Option<&Bin> {
         self.bins.iter().find(|bin| bin.to_m.is_none())
     }
@@ -225,7 +226,7 @@ impl Bin {
         }
     }
 
-    /// The share of the eligible that was measured; `None` if nobody is.
+    /// The measured share of the eligible bodies; `None` without eligible bodies.
     pub fn share(&self) -> Option<f64> {
         (self.eligible > 0).then(|| self.measured as f64 / self.eligible as f64)
     }
@@ -233,7 +234,7 @@ impl Bin {
 
 impl FalsePose {
     /// Checks the frame's own measurement if it was recorded, else the published pose. `None` if
-    /// right.
+    /// the pose is correct.
     fn of(pose: &PoseRow, truth: Option<&TruthRow>) -> Option<Self> {
         let error =
             truth.map(|truth| measurement(pose, truth).unwrap_or_else(|| published(pose, truth)));

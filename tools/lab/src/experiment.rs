@@ -1,5 +1,5 @@
-//! `flockeye experiment`: the paper's tables again, detectors side by side, and how consistent
-//! covariances are. Each flight is a lossless run of the whole pipeline, in an instance of its own.
+//! `flockeye experiment`: repeats the paper's tables, compares detectors, and tests the consistency
+//! of covariances. Each flight is a lossless run of the whole pipeline in its own instance.
 
 mod comparison;
 mod consistency;

@@ -1,16 +1,16 @@
-//! The `flockeye-lab` command: everything that prepares runs and evaluates them. `flockeye` passes
-//! its commands on to it.
+//! The `flockeye-lab` command: preparation and evaluation of runs. `flockeye` passes its commands
+//! on to it.
 //!
 //! | module | what it does |
 //! | --- | --- |
 //! | [`commands`] | the command line |
 //! | `eval` | compares recorded poses with the truth |
 //! | [`evaluation`] | the comparison itself |
-//! | `report` | the same as a page with figures |
-//! | `experiment` | the paper's tables again, and how consistent covariances are |
+//! | `report` | the comparison as a page with figures |
+//! | `experiment` | repeats the paper's tables, and tests the consistency of covariances |
 //! | `partition` | partitions of the sphere as table, JSON and drawings |
 //! | `markers` | a body's facets on paper, to print and glue |
-//! | `calibrate` | the commands that find where a body's markers, the camera, its lenses and a sensor really are |
+//! | `calibrate` | commands that measure the real poses of markers, camera, lenses and sensors |
 //! | [`calibration`] | the mathematics of these commands |
 //! | `up_process` | runs `flockeye up` as a process of its own |
 

@@ -36,8 +36,8 @@ pub struct MarkersArguments {
 /// Writes the sheets.
 ///
 /// # Errors
-/// A wrong configuration, an unknown body, a facet larger than the paper, or a file that cannot be
-/// written.
+/// The configuration is wrong, the body is unknown, a facet is larger than the paper, or a file
+/// cannot be written.
 pub fn run(arguments: &MarkersArguments) -> anyhow::Result<()> {
     let bodies = flockeye_config::bodies(&arguments.configuration.load()?.bodies)?;
     let dictionary = Dictionary::of(&bodies)?;
@@ -74,7 +74,7 @@ fn numbered(path: &Path, number: usize) -> PathBuf {
     path.with_file_name(format!("{stem}-{number}.svg"))
 }
 
-/// The sheets of a body: each facet once, those with markers first.
+/// The sheets of a body, with each facet once. Facets with markers are first.
 fn sheets(body: &Body, dictionary: &Dictionary, paper: Paper) -> anyhow::Result<Vec<PaperDrawing>> {
     let pieces: anyhow::Result<Vec<_>> =
         body.facets().iter().map(|facet| piece::piece(facet, body, dictionary)).collect();

@@ -1,6 +1,6 @@
 //! `flockeye partition`: partitions of the sphere as a table, as JSON and as drawings.
 //!
-//! `common/geometry/data/partitions.json` is what `flockeye partition --compute --json` prints.
+//! `common/geometry/data/partitions.json` is the output of `flockeye partition --compute --json`.
 
 mod arguments;
 mod figure;
@@ -17,7 +17,7 @@ use flockeye_geometry::partition::{Partition, PartitionError};
 pub use arguments::PartitionArguments;
 use table::PartitionTable;
 
-/// Prints the table, and writes the drawings that are asked for.
+/// Prints the table, and writes the requested drawings.
 pub fn run(arguments: &PartitionArguments) -> anyhow::Result<()> {
     let partitions = arguments.counts.iter().map(|&count| find(arguments, count));
     let partitions = partitions.collect::<Result<Vec<_>, _>>()?;
@@ -27,7 +27,7 @@ pub fn run(arguments: &PartitionArguments) -> anyhow::Result<()> {
     }
     Screen::new().line(&if arguments.json { table.to_json()? } else { table.to_string() });
     if let Some(path) = &arguments.picture {
-        // The first that has views with this margin. If none has, the first one's error is
+        // Uses the first partition that has views with this margin. If none has, the first error is
         // reported.
         let mut pictures =
             partitions.iter().map(|p| picture::draw(p, arguments.margin.to_radians()));
@@ -38,7 +38,7 @@ pub fn run(arguments: &PartitionArguments) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// The partition of `count` views that the arguments ask for. Logs the time if it is computed.
+/// The requested partition of `count` views. Logs the time if it is computed.
 fn find(arguments: &PartitionArguments, count: usize) -> Result<Partition, PartitionError> {
     let method = arguments.method;
     if !arguments.compute {

@@ -1,4 +1,4 @@
-//! One page on a run: the paper's figures for it, and its table. The file is complete in itself.
+//! An HTML page about a run, with the paper's figures and its table. The file needs no other files.
 
 mod chart;
 mod flight_path;
@@ -12,13 +12,13 @@ use flockeye_tables::{PoseRow, TruthRow};
 use nalgebra::Vector3;
 
 use crate::evaluation::{Evaluation, measurement, published};
-use chart::{Axis, Chart, ChartSeries, Mark};
+use chart::{Axis, ChartSeries, Mark};
 
-/// Dots and corners of lines in a figure are thinned to about so many.
+/// Approximate largest number of points of a line or a series of dots in a figure.
 const MOST_POINTS: usize = 2_000;
 
-/// Writes `index.html` into a folder, which is made if it is not there, and gives its path.
-/// `source` says what was compared.
+/// Writes `index.html` into a folder, which is created if necessary, and returns its path. `source`
+/// describes the compared files.
 pub fn write(
     folder: &Path,
     source: &str,
@@ -43,7 +43,7 @@ pub fn write(
 struct BodyHistory<'a> {
     body: &'a str,
     truth: Vec<&'a TruthRow>,
-    /// Measured, with the truth where it is known.
+    /// Measured poses, each with the truth if it is known.
     measured: Vec<(&'a PoseRow, Option<&'a TruthRow>)>,
     coasted: Vec<&'a PoseRow>,
 }
@@ -63,7 +63,7 @@ impl<'a> BodyHistory<'a> {
         Self { body, truth, measured, coasted }
     }
 
-    /// A number of each row over time: the truth as a line, measured and predicted poses as dots.
+    /// A number of each row over time. The truth is a line; measured and predicted poses are dots.
     fn over_time(&self, number: impl Fn(&Vector3<f64>) -> f64) -> Vec<ChartSeries> {
         let truth = thinned(&self.truth, |row| row.frame, |row| (row.t_s, number(&row.position())));
         let point = |pose: &PoseRow| (pose.stamp_s, number(&pose.position));
@@ -88,14 +88,14 @@ fn figures(history: &BodyHistory<'_>) -> Vec<(String, String)> {
     let time = |series: &[ChartSeries]| Axis::even(numbers(series, |point| point.0), 0.1);
     let over_time = |what: &str, height: f64, number: fn(&Vector3<f64>) -> f64| {
         let series = history.over_time(number);
-        Chart {
-            title: format!("{what} of {} over time", history.body),
-            x: (time(&series), "time, s"),
-            y: (Axis::even(numbers(&series, |point| point.1), 0.1), format!("{what}, m")),
+        let heights = Axis::even(numbers(&series, |point| point.1), 0.1);
+        chart::draw(
+            &format!("{what} of {} over time", history.body),
+            (time(&series), "time, s"),
+            (heights, &format!("{what}, m")),
             height,
-            series,
-        }
-        .draw()
+            &series,
+        )
     };
     let axes = [("x", 0), ("y", 1), ("z", 2)].map(|(name, index)| {
         let number: fn(&Vector3<f64>) -> f64 = match index {
@@ -141,18 +141,17 @@ fn error_against_distance(history: &BodyHistory<'_>) -> String {
         of_frames
             .extend(measurement(pose, truth).map(|error| (truth.dist_m, error.position_m() * 1e3)));
     }
-    let series = vec![
+    let series = [
         dots("the frame's own measurement", "coast", &of_frames),
         dots("published pose", "pose", &of_tracks),
     ];
-    Chart {
-        title: format!("Position error of {} against distance", history.body),
-        x: (Axis::even(numbers(&series, |point| point.0), 0.2), "true distance, m"),
-        y: (Axis::decades(numbers(&series, |point| point.1)), "position error, mm".to_owned()),
-        height: 340.0,
-        series,
-    }
-    .draw()
+    chart::draw(
+        &format!("Position error of {} against distance", history.body),
+        (Axis::even(numbers(&series, |point| point.0), 0.2), "true distance, m"),
+        (Axis::decades(numbers(&series, |point| point.1)), "position error, mm"),
+        340.0,
+        &series,
+    )
 }
 
 fn numbers(
@@ -167,7 +166,7 @@ fn every<T: Copy>(points: &[T]) -> Vec<T> {
     points.iter().step_by(points.len() / MOST_POINTS + 1).copied().collect()
 }
 
-/// Points of the rows, thinned, in pieces of consecutive frames.
+/// Points of the rows, in pieces of consecutive frames. Long lists are thinned.
 fn thinned<R, T>(rows: &[R], frame: impl Fn(&R) -> u64, point: impl Fn(&R) -> T) -> Vec<Vec<T>> {
     let step = rows.len() / MOST_POINTS + 1;
     rows.chunk_by(|one, next| frame(one) + 1 == frame(next))

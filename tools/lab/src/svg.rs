@@ -2,7 +2,7 @@
 
 use std::fmt::{self, Write};
 
-/// A drawing that elements are added to.
+/// A drawing to which elements are added.
 pub(crate) struct Svg {
     body: String,
     width: f64,
@@ -36,7 +36,7 @@ impl Svg {
     }
 
     /// The drawing as an element of a page, in the page's colours. `label` describes it for screen
-    /// readers, `attributes` go to the element.
+    /// readers; `attributes` are added to the element.
     pub(crate) fn finish_in_page(self, label: &str, attributes: &str) -> String {
         let Self { body, width, height } = self;
         format!(
@@ -46,7 +46,7 @@ impl Svg {
         )
     }
 
-    /// The whole document, on white.
+    /// The drawing as a whole document with a white background.
     pub(crate) fn finish(self) -> String {
         let Self { body, width, height } = self;
         format!(

@@ -13,15 +13,15 @@ use anyhow::{Context, anyhow, bail};
 use flockeye_cli::program;
 use rustix::process::{Pid, Signal, kill_process, set_parent_process_death_signal};
 
-/// Lines of each of its streams that are kept for error messages.
+/// Number of lines of each output stream that are kept for error messages.
 const KEPT_LINES: usize = 40;
-/// How an error message of `flockeye` begins.
+/// Prefix of an error message of `flockeye`.
 const ERROR_PREFIX: &str = "flockeye: ";
 
-/// Runs `flockeye up` with these arguments to its end. What it writes goes to this terminal.
+/// Runs `flockeye up` with these arguments to its end. Its output goes to this terminal.
 ///
 /// # Errors
-/// It cannot be started, or it fails. Its own message is then on the terminal.
+/// The program cannot be started, or it fails. Its own message is then on the terminal.
 pub fn run_visibly(arguments: &[OsString], stopping: &AtomicBool) -> anyhow::Result<()> {
     let mut child = start(arguments, Stdio::inherit, Stdio::inherit)?;
     let status = wait(&mut child, stopping)?;
@@ -31,10 +31,10 @@ pub fn run_visibly(arguments: &[OsString], stopping: &AtomicBool) -> anyhow::Res
     bail!("`flockeye up` failed ({status}); its reason is above")
 }
 
-/// Runs `flockeye up` with these arguments to its end, and gives the last lines of its log.
+/// Runs `flockeye up` with these arguments to its end, and returns the last lines of its log.
 ///
 /// # Errors
-/// It cannot be started, or it fails: the error then has its log, `what` it was, and its reason.
+/// The program cannot be started, or it fails. The error contains its log, `what` and its reason.
 pub fn run_quietly(
     what: &str,
     arguments: &[OsString],
@@ -78,7 +78,7 @@ fn start(
     command.spawn().context("cannot start `flockeye up`")
 }
 
-/// Waits for its end. Once `stopping` is raised it is asked to stop.
+/// Waits for the end of the process. Sends SIGINT once `stopping` is set.
 fn wait(child: &mut Child, stopping: &AtomicBool) -> anyhow::Result<ExitStatus> {
     let mut is_asked = false;
     loop {
@@ -87,8 +87,8 @@ fn wait(child: &mut Child, stopping: &AtomicBool) -> anyhow::Result<ExitStatus> 
         }
         if stopping.load(Ordering::Relaxed) && !is_asked {
             is_asked = true;
-            // The process may have ended in between, and Ctrl-C on a terminal has reached it
-            // already.
+            // An error is ignored: the process may have ended, for example by Ctrl-C on the
+            // terminal.
             let _ = kill_process(Pid::from_child(child), Signal::INT);
         }
         std::thread::sleep(Duration::from_millis(20));

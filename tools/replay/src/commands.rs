@@ -35,7 +35,7 @@ enum ReplayedStage {
     Fusion,
 }
 
-/// Reads the command line and does what it asks for. A replay that differs fails.
+/// Parses the command line and runs the command. A replay with a difference fails.
 pub fn run() -> ExitCode {
     let (command, outcome) = match ReplayCommand::parse() {
         ReplayCommand::Replay { file, stage: ReplayedStage::Fusion } => {

@@ -1,4 +1,4 @@
-//! Frames that tests make up: those of fusion's own tests.
+//! Artificial frames for tests, shared with fusion's own tests.
 
 use flockeye_fusion::{PoseMeasurement, Record};
 

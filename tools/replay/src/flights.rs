@@ -1,4 +1,4 @@
-//! Flights of fusion in tests, driven as by its stage, and their recordings.
+//! Flights of fusion for tests, driven as in its stage, and their recordings.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "of the flights")]
 
@@ -16,14 +16,14 @@ use crate::recorded::{FlightMessage, RecordedPixels, contract_message};
 /// Time from the exposure of a frame to its messages, nanoseconds.
 const DELAY_NS: i64 = 20_000_000;
 
-/// A recorded message, and when it was recorded.
+/// Recorded messages, each with its time of recording, nanoseconds.
 pub type Recording = Vec<(FlightMessage, u64)>;
 
 pub fn resolved() -> Resolved {
     Resolved::of(Pipeline::parse("", &[], "a test").unwrap()).unwrap()
 }
 
-/// Fusion in flight, driven as by its stage, and its recording.
+/// Fusion in flight, driven as in its stage, and its recording.
 pub struct Flown {
     core: Core<RecordedPixels>,
     writer: Writer,
@@ -65,7 +65,7 @@ impl Flown {
         assert_eq!(self.core.on(event, self.now_ns), None);
     }
 
-    /// Works until nothing is left to do.
+    /// Runs steps until fusion is idle.
     fn work(&mut self) {
         loop {
             self.now_ns += 1_000;
@@ -155,8 +155,8 @@ fn followed() -> Flown {
     flown
 }
 
-/// Alpha is followed, then not seen in frame 5 and sought in the background; the answer comes
-/// during frame 6.
+/// Alpha is followed, but not seen in frame 5. A background pass searches for it, and its answer
+/// comes during frame 6.
 pub fn flown_on() -> Recording {
     continued().recording
 }
@@ -178,7 +178,7 @@ fn continued() -> Flown {
     flown
 }
 
-/// Flies on, with an account of what was decided of alpha.
+/// The same flight, with the decisions about alpha.
 pub fn flown_on_with_account() -> (Recording, Vec<(FrameOrder, AccountEntry)>) {
     let mut flown = continued();
     let account = flown.core.take_account();

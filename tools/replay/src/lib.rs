@@ -1,11 +1,11 @@
-//! Work on recorded flights: `flockeye replay` gives a stage again what it got, and `flockeye
-//! explain` says what it decided in a frame, and why.
+//! Tools for recorded flights. `flockeye replay` gives a stage its recorded inputs again. `flockeye
+//! explain` shows what the stage decided in a frame, and why.
 //!
 //! | module | what it does |
 //! | --- | --- |
-//! | [`recorded`] | a recording as the messages that fusion got and gave |
-//! | [`replay`] | runs the core of fusion as its journal says, and compares what it gives with what it gave |
-//! | [`explain`] | why a frame of a recording gave a pose of a target, or none |
+//! | [`recorded`] | a recording as the input and output messages of fusion |
+//! | [`replay`] | runs the core of fusion by its journal, and compares its output |
+//! | [`explain`] | explains why a frame gave a pose of a target, or none |
 //! | [`commands`] | the command line |
 
 pub mod commands;

@@ -1,4 +1,4 @@
-//! A recording as messages to and from fusion, checked as ports check them.
+//! A recording as messages to and from fusion, with the same checks as in ports.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -24,35 +24,22 @@ use flockeye_recording::{
 use flockeye_fusion::Record;
 
 /// The pixels of a recorded view.
-#[derive(Debug, Clone)]
-pub struct RecordedPixels(Arc<[u8]>);
+pub type RecordedPixels = Arc<[u8]>;
 
-impl From<Vec<u8>> for RecordedPixels {
-    fn from(pixels: Vec<u8>) -> Self {
-        Self(pixels.into())
-    }
-}
-
-impl AsRef<[u8]> for RecordedPixels {
-    fn as_ref(&self) -> &[u8] {
-        &self.0
-    }
-}
-
-/// One message.
+/// A message of a recorded flight.
 #[derive(Debug, Clone)]
 #[allow(clippy::large_enum_variant, reason = "one at a time, on the stack")]
 pub enum FlightMessage {
-    /// A frame; its pixels are not read.
+    /// A frame, without its pixels.
     Frame(FrameHeader),
-    /// A view whose pixels are not in the recording, or come with [`FlightMessage::View`].
+    /// The header of a view. Its pixels are not recorded, or follow with [`FlightMessage::View`].
     Header(ViewHeader),
     /// A view with its pixels.
     View(ViewHeader, RecordedPixels),
     /// The markers of a view.
     Searched(Record),
     FrameEnd(FrameEnd),
-    /// How the camera has turned.
+    /// The rotation of the camera.
     Rotation(Rotation),
     /// Tracks from fusion, with their bytes.
     Tracks(TrackHeader, Vec<Track>, ContractMessage),
@@ -64,14 +51,14 @@ pub enum FlightMessage {
     Truth(TruthHeader, Vec<BodyTruth>),
 }
 
-/// Topics of which a recording lacks messages, or may lack them, with the number of these.
+/// Topics of which messages are missing, or may be missing, with their number.
 pub type LostMessages = Vec<(String, u64)>;
 
-/// A recording that is being read, with all its files where it was split.
+/// A recording that is being read, with all its files if it was split.
 pub struct RecordedFlight {
     reader: RecordingReader,
     layouts: Vec<TopicLayout>,
-    /// The header of a view whose pixels come next, and its number.
+    /// The header of a view whose pixels come next, and its sequence number.
     view: Option<(u32, ViewHeader)>,
     lost: BTreeMap<String, u64>,
 }
@@ -83,7 +70,7 @@ impl RecordedFlight {
         Ok(Self { reader, layouts: layouts(), view: None, lost: BTreeMap::new() })
     }
 
-    /// How it ends, once it was read to its end.
+    /// The end of the recording, after it was read completely.
     pub fn ending(&self) -> Option<Ending> {
         self.reader.ending()
     }
@@ -98,7 +85,7 @@ impl RecordedFlight {
         self.reader.about().metadata.get("flow").map(String::as_str)
     }
 
-    /// Messages that it lacks, as far as it was read.
+    /// Messages that are missing, as far as the recording was read.
     pub fn lost(&self) -> LostMessages {
         let lost = self.lost.iter().filter(|(_, messages)| **messages > 0);
         lost.map(|(topic, &messages)| (topic.clone(), messages)).collect()
@@ -110,11 +97,11 @@ impl RecordedFlight {
         found.map(|(_, _, bytes)| bytes.as_slice())
     }
 
-    /// The configuration of the recorded pipeline, with the bodies as they were. Where the files
-    /// that it names say something else by now, or are gone, the recording's own bodies count.
+    /// The configuration of the recorded pipeline, with the bodies at the time of recording. If the
+    /// body files have changed or are missing, the bodies in the recording are used.
     ///
     /// # Errors
-    /// There is no configuration, or it cannot be worked with any more.
+    /// The configuration is missing, or is not valid any more.
     pub fn configuration(&self) -> anyhow::Result<Resolved> {
         let name = "pipeline.json";
         let json = self.attachment(name).with_context(|| format!("the recording has no {name}"))?;
@@ -131,7 +118,7 @@ impl RecordedFlight {
         }
     }
 
-    /// The bodies that the recording has, by their numbers.
+    /// The bodies in the recording, in the order of their target numbers.
     fn bodies(&self) -> anyhow::Result<Option<Bodies>> {
         let name = "bodies.json";
         let Some(json) = self.attachment(name) else { return Ok(None) };
@@ -144,15 +131,14 @@ impl RecordedFlight {
             bodies.sort_by_key(|body| number(&body.name));
             Ok(Bodies::new(by_name.dictionary, bodies)?)
         };
-        // A recording of an older version may have none that can be read.
+        // Bodies in a recording of an older version may be unreadable.
         Ok(Some(read().with_context(|| format!("{name} of the recording"))?))
     }
 
-    /// The next message that counts, and when it was recorded, UTC nanoseconds; `None` at the end.
+    /// The next relevant message, and its time of recording, UTC nanoseconds; `None` at the end.
     ///
     /// # Errors
-    /// The recording is damaged, or a message breaks the contract: a recording may have been
-    /// changed.
+    /// The recording is damaged, or a message breaks the contract because the file was changed.
     pub fn next_message(&mut self) -> anyhow::Result<Option<(FlightMessage, u64)>> {
         loop {
             while let Some(message) = self.reader.next_message()? {
@@ -177,7 +163,7 @@ impl RecordedFlight {
         }
         if topic == LOSSES {
             let (topic, loss) = decode_loss(&message.bytes)?;
-            // The counts rise.
+            // Counts only increase, so the last message is kept.
             self.lost.insert(topic, loss.lost());
             return Ok(None);
         }
@@ -230,12 +216,11 @@ impl RecordedFlight {
         ensure!(sequence == message.sequence, "pixels of a view without its header");
         let pixels = decode_image(VIEW_IMAGES, &message.bytes)?.pixels;
         refuse_if_wrong::<Views>(&header, pixels)?;
-        Ok(FlightMessage::View(header, RecordedPixels(pixels.into())))
+        Ok(FlightMessage::View(header, pixels.into()))
     }
 }
 
-/// Whether two sets of bodies are the same but for the rounding of numbers that were written as
-/// text.
+/// Whether two sets of bodies are equal, except for rounding of numbers in text files.
 fn is_alike(one: &Bodies, other: &Bodies) -> bool {
     const ROUNDING: f64 = 1e-9;
     let mut pairs = one.iter().zip(other.iter());
@@ -259,7 +244,7 @@ fn is_alike(one: &Bodies, other: &Bodies) -> bool {
         })
 }
 
-/// A message's header and items, if a port would accept them.
+/// A message's header and items. An error if a port would refuse them.
 fn checked<T: Topic>(message: &ContractMessage) -> anyhow::Result<(T::Header, Vec<T::Item>)> {
     let header: T::Header = header(message);
     let items = message.items.chunks_exact(size_of::<T::Item>()).map(pod_read_unaligned);
@@ -274,7 +259,7 @@ fn refuse_if_wrong<T: Topic>(header: &T::Header, items: &[T::Item]) -> anyhow::R
     })
 }
 
-/// A message that is no longer in shared memory.
+/// A copy of a message outside of shared memory.
 pub fn contract_message<H: Pod, I: Pod>(header: &H, items: &[I]) -> ContractMessage {
     ContractMessage {
         header: bytemuck::bytes_of(header).to_vec(),
@@ -285,7 +270,7 @@ pub fn contract_message<H: Pod, I: Pod>(header: &H, items: &[I]) -> ContractMess
 
 /// A message's header.
 pub fn header<H: AnyBitPattern>(message: &ContractMessage) -> H {
-    // `decode` gives as many bytes as the type has.
+    // `decode` returns a header of the type's size.
     pod_read_unaligned(&message.header)
 }
 

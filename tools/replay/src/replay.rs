@@ -1,10 +1,10 @@
-//! Gives the core of fusion what it got in a recorded flight, and compares what it gives with what
-//! it gave.
+//! Gives the core of fusion the inputs of a recorded flight again, and compares its outputs with
+//! the recorded ones.
 //!
-//! The output of the core depends on its messages, their order, and the times of its calls. Its
-//! journal has all of that, so a flight in real time is repeated like any other: each entry is one
-//! call of the core. A background pass runs at once, and its answer counts where the journal says
-//! so.
+//! The output of the core depends on its messages, their order, and the times of its calls. The
+//! journal contains all of these, so also a flight in real time can be repeated. Each entry is one
+//! call of the core. A background pass runs at once, and its answer is used at its entry in the
+//! journal.
 
 mod compared;
 mod script;
@@ -28,32 +28,32 @@ use flockeye_fusion::Writer;
 use flockeye_fusion::configured;
 use flockeye_fusion::{Core, Event, Outputs};
 
-/// The result of a replay, for people.
+/// The result of a replay.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct ReplayReport {
-    /// Frames that ended.
+    /// Number of frames that ended.
     pub frames: u64,
-    /// Messages that were compared.
+    /// Number of compared messages.
     pub messages: u64,
-    /// Answers of background passes that counted.
+    /// Number of answers of background passes that were used.
     pub answers: u64,
-    /// The first difference; `None`: the same bytes.
+    /// The first difference; `None`: equal bytes.
     pub difference: Option<String>,
-    /// Why the comparison ends before the recording does.
+    /// The reason if the comparison ends before the recording.
     pub end: Option<String>,
-    /// Plans that are not in the recording.
+    /// Number of plans that are not in the recording.
     pub lost_plans: u64,
-    /// Messages of fusion that were recorded and not compared.
+    /// Number of recorded messages of fusion that were not compared.
     pub left: u64,
-    /// What the recording lacks, or may lack.
+    /// Messages that are missing in the recording, or may be missing.
     pub lost: LostMessages,
 }
 
 /// Replays a recording with its views (`flockeye record --frames views`).
 ///
 /// # Errors
-/// It has no journal from fusion's beginning on, or no pixels, or its configuration cannot be
-/// worked with any more.
+/// The recording has no journal from fusion's beginning, or no pixels, or its configuration is not
+/// valid any more.
 pub fn replay(path: &Path) -> anyhow::Result<ReplayReport> {
     let mut recorded = RecordedFlight::open(path)?;
     let resolved = recorded.configuration()?;
@@ -66,7 +66,7 @@ pub fn replay(path: &Path) -> anyhow::Result<ReplayReport> {
     Ok(ReplayReport { lost: recorded.lost(), ..replayed })
 }
 
-/// Replays a recording and prints the result. Returns whether all compared messages are the same.
+/// Replays a recording and prints the result. Returns whether all compared messages are equal.
 pub fn report(path: &Path) -> anyhow::Result<bool> {
     let replayed = replay(path)?;
     print!("{replayed}");
@@ -114,7 +114,7 @@ fn said(lost: &[(String, u64)]) -> String {
     lost.iter().map(of_topic).collect::<Vec<_>>().join(", ")
 }
 
-/// The core of fusion, and the messages that it got.
+/// The core of fusion, with the messages that it received.
 pub struct FusionReplay {
     core: Core<RecordedPixels>,
     writer: Writer,
@@ -122,7 +122,7 @@ pub struct FusionReplay {
     /// Whether the last view still lacks its pixels.
     lacks_pixels: bool,
     script: Script,
-    /// Output of the last step, until the journal has the time when it was sent.
+    /// Output of the last step, until the journal gives the time of its sending.
     unsaid: Outputs,
     compared: MessageComparison,
     /// The newest frame that has ended.
@@ -147,7 +147,7 @@ impl FusionReplay {
         })
     }
 
-    /// The core, which may keep an account.
+    /// The core. Callers may let it keep its decisions.
     pub fn core(&mut self) -> &mut Core<RecordedPixels> {
         &mut self.core
     }
@@ -162,7 +162,7 @@ impl FusionReplay {
         self.script.has_begun()
     }
 
-    /// Whether the comparison goes on, without a difference so far.
+    /// Whether the comparison continues, without a difference so far.
     pub fn is_under_way(&self) -> bool {
         self.replayed.difference.is_none() && self.replayed.end.is_none()
     }
@@ -173,7 +173,7 @@ impl FusionReplay {
     }
 
     /// Takes a message of the recording. `before` is called before each entry of the journal that
-    /// counts now.
+    /// is executed.
     pub fn on(
         &mut self,
         message: FlightMessage,
@@ -223,7 +223,7 @@ impl FusionReplay {
         self.work(Some(utc_ns), before)
     }
 
-    /// At the recording's end; `is_whole`: it was not cut off.
+    /// Ends the replay at the end of the recording. `is_whole`: the recording was not cut off.
     pub fn finish(mut self, is_whole: bool) -> anyhow::Result<ReplayReport> {
         if self.is_under_way() {
             if is_whole {
@@ -249,7 +249,7 @@ impl FusionReplay {
         Ok(())
     }
 
-    /// Follows the journal as far as it is known.
+    /// Executes the journal as far as it is known.
     fn work(
         &mut self,
         utc_ns: Option<u64>,
@@ -280,7 +280,7 @@ impl FusionReplay {
         }
     }
 
-    /// Follows an entry. Returns a difference from the flight, if there is one.
+    /// Executes an entry. Returns a difference from the flight, if there is one.
     fn follow(
         &mut self,
         entry: &JournalEntry,
@@ -335,7 +335,7 @@ impl FusionReplay {
         Ok(None)
     }
 
-    /// A difference that is not one of a message, with its place.
+    /// The text of a difference that is not in a message, with its place in the flight.
     fn at(&self, difference: &str) -> String {
         match self.ended {
             None => format!("before the first frame ended: {difference}"),

@@ -2,8 +2,8 @@
 //!
 //! | module | what it does |
 //! | --- | --- |
-//! | [`disturbance`] | what is done to whom |
-//! | [`report`] | how the pipeline took it |
+//! | [`disturbance`] | disturbances of processes |
+//! | [`report`] | effects on the pipeline |
 
 mod disturbance;
 mod report;
@@ -13,7 +13,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail, ensure};
 use clap::Args;
-use flockeye_cli::running::{Attached, PipelineChoice, attach};
+use flockeye_cli::running::{PipelineChoice, attach};
 use flockeye_cli::{Screen, duration, signals};
 use flockeye_contract::{Tracks, Truths};
 use flockeye_runtime::clock;
@@ -56,9 +56,9 @@ pub(crate) struct ChaosArguments {
     pub json: bool,
 }
 
-/// A pipeline that has no pose after this long has not recovered.
+/// Timeout of a recovery: the next pose must come within this time.
 const RECOVERY_TIME: Duration = Duration::from_secs(15);
-/// Time for a pipeline at the beginning and at the end until its poses flow.
+/// Time at the beginning and at the end in which poses must flow.
 const SETTLING_TIME: Duration = Duration::from_secs(5);
 
 fn rate(text: &str) -> Result<f64, String> {
@@ -66,9 +66,9 @@ fn rate(text: &str) -> Result<f64, String> {
     if (0.01..=20.0).contains(&rate) { Ok(rate) } else { Err("0.01 to 20".to_owned()) }
 }
 
-/// Reads the pipeline while it is disturbed.
+/// Receives the pipeline's messages while it is disturbed.
 struct ChaosWatch {
-    // Ports go after the subscribers.
+    // Fields are dropped in this order: the subscribers before their ports.
     tracks: Subscriber<Tracks>,
     truths: Subscriber<Truths>,
     ports: Ports,
@@ -78,14 +78,14 @@ struct ChaosWatch {
 /// Disturbs a pipeline and reports how it recovers.
 ///
 /// # Errors
-/// No such pipeline runs, it ends meanwhile, it has no pose to begin with, or a limit of the report
-/// is broken.
+/// The pipeline does not run, ends meanwhile, has no pose at the beginning, or breaks a limit of
+/// the report.
 pub(crate) fn run(arguments: &ChaosArguments) -> anyhow::Result<()> {
     let stopping = signals::stop_flag()?;
-    let Attached { mut ports, instance, .. } = attach(&arguments.running)?;
+    let (instance, _, mut ports) = attach(&arguments.running)?;
     let mut screen = Screen::new();
     let report = ChaosReport::default();
-    // Both processes of a stage send messages while it is swapped.
+    // During a swap both processes of a stage send messages.
     ports.follow_hand_overs()?;
     let (tracks, truths) = (ports.subscriber()?, ports.subscriber()?);
     let mut watch = ChaosWatch { tracks, truths, ports, report };
@@ -125,7 +125,7 @@ pub(crate) fn run(arguments: &ChaosArguments) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// The workers that run and may be disturbed, each with the number of its process.
+/// The running workers that may be disturbed, each with its process number.
 fn victims(
     instance: &Instance,
     arguments: &ChaosArguments,
@@ -144,13 +144,13 @@ fn victims(
 }
 
 impl ChaosWatch {
-    /// Takes the messages that come in this time.
+    /// Receives messages for this time.
     fn for_(&mut self, time: Duration, stopping: &AtomicBool) -> anyhow::Result<()> {
         let end = Instant::now() + time;
         self.until(stopping, |_| Instant::now() >= end)
     }
 
-    /// Takes what comes until `is_enough`.
+    /// Receives messages until `is_enough`.
     fn until(
         &mut self,
         stopping: &AtomicBool,
@@ -188,7 +188,7 @@ impl ChaosWatch {
                     accept_worse: false,
                 };
                 self.report.strike(disturbance, clock::monotonic_ns());
-                // What comes meanwhile is read, or it would count as lost.
+                // Messages are received meanwhile, otherwise they would count as lost.
                 let instance = instance.clone();
                 let asking = std::thread::spawn(move || {
                     ask(&instance, &ControlRequest::Swap(request), |_| {})

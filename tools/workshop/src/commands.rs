@@ -47,10 +47,10 @@ enum StageCommand {
     Test(TestArguments),
 }
 
-/// Reads the command line and does what it asks for.
+/// Parses the command line and runs the command.
 ///
 /// # Errors
-/// As the command.
+/// The errors of the command.
 pub fn run() -> anyhow::Result<()> {
     match Workshop::parse() {
         Workshop::Chaos(arguments) => chaos::run(&arguments),

@@ -1,16 +1,17 @@
 //! `flockeye stage test`: tests a stage alone against the contract.
 //!
-//! The candidate runs in an instance of its own. All other stages are played by the test: it sends
-//! what they would send, also what is malformed, and checks every answer. Each finding names the
-//! field, the value, and the part of docs/CONTRACT.md.
+//! The candidate runs in an instance of its own. The test takes the place of all other stages. It
+//! sends their messages, valid and malformed ones, and checks every answer. Each finding contains
+//! the field, the value, and the part of docs/CONTRACT.md.
 //!
 //! | module | what it does |
 //! | --- | --- |
 //! | [`bench`] | the instance, the candidate's process, and its health |
 //! | [`beside`] | the candidate beside Flockeye's own stage, on a recording |
-//! | [`report`] | what was checked, and what was found |
-//! | [`pictures`] | views with markers, and a sphere whose every ray is known |
-//! | [`source`], [`inertial`], [`egomotion`], [`rectification`], [`detection`], [`fusion`], [`gateway`], [`outlet`] | what is sent to each kind, and how the answers must be |
+//! | [`report`] | checks and findings |
+//! | [`pictures`] | views with markers, and a sphere with known brightness along every ray |
+//! | [`source`], [`inertial`], [`egomotion`], [`rectification`] | messages to these stages, and checks |
+//! | [`detection`], [`fusion`], [`gateway`], [`outlet`] | messages to these stages, and checks |
 
 mod bench;
 mod beside;
@@ -58,7 +59,7 @@ pub(crate) struct TestArguments {
 /// Tests the candidate.
 ///
 /// # Errors
-/// The candidate does not keep the contract, or the test cannot be made.
+/// The candidate breaks the contract, or the test cannot run.
 pub(crate) fn run(arguments: &TestArguments) -> anyhow::Result<()> {
     let stage = arguments.kind;
     let script = match stage {
@@ -77,14 +78,14 @@ pub(crate) fn run(arguments: &TestArguments) -> anyhow::Result<()> {
         own.push("gateway.enabled=false".to_owned());
     }
     match stage {
-        // A swarm of its own: no real peer gets its reports.
+        // A separate swarm: no real peer receives the reports of the test.
         StageName::Gateway => own.extend([
             format!("gateway.listen=[tcp/127.0.0.1:{}]", free_ports(1)?[0]),
             "gateway.connect=[]".to_owned(),
             "gateway.scout_interface=null".to_owned(),
             format!("observer.swarm={name}"),
         ]),
-        // Nobody is at the other end, so that no real autopilot or node gets what is made up.
+        // The link has no receiver, so that no real autopilot or node gets artificial poses.
         StageName::Autopilot => own.push(format!("autopilot.link=udpin:{}", free_udp()?)),
         StageName::Ros2 => own.push(format!("ros2.connect=[tcp/127.0.0.1:{}]", free_ports(1)?[0])),
         _ => {}
@@ -121,7 +122,7 @@ pub(crate) fn run(arguments: &TestArguments) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// A UDP address of this machine that nobody has.
+/// A free UDP address of this machine.
 fn free_udp() -> anyhow::Result<std::net::SocketAddr> {
     let socket = std::net::UdpSocket::bind("127.0.0.1:0").context("no port is free")?;
     socket.local_addr().context("no port is free")

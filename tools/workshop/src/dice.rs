@@ -6,7 +6,7 @@
 pub(crate) struct Dice(u64);
 
 impl Dice {
-    /// Dice whose numbers follow from the seed.
+    /// Dice with this seed.
     pub(crate) fn new(seed: u64) -> Self {
         Self(seed)
     }
@@ -19,13 +19,13 @@ impl Dice {
         mixed ^ (mixed >> 31)
     }
 
-    /// A number from 0 to 1.
+    /// A random number from 0 to 1.
     pub(crate) fn share(&mut self) -> f64 {
-        // As many bits as a double holds.
+        // 53 bits, the precision of a double.
         (self.number() >> 11) as f64 / (1_u64 << 53) as f64
     }
 
-    /// One of these; `None` if there are none.
+    /// A random entry; `None` of an empty list.
     pub(crate) fn choose<T: Copy>(&mut self, from: &[T]) -> Option<T> {
         let number = self.number();
         from.get((number % (from.len().max(1) as u64)) as usize).copied()

@@ -1,4 +1,4 @@
-//! Pipelines that are processes of their own: a `flockeye up` for each.
+//! Pipelines as separate processes, each a `flockeye up`.
 
 use std::ffi::OsString;
 use std::fs::File;
@@ -12,16 +12,17 @@ use flockeye_cli::program;
 use flockeye_runtime::instance::Instance;
 use rustix::process::{Pid, Signal, kill_process};
 
-/// A pipeline that is asked to end gets this long.
+/// Time for a pipeline to end after SIGTERM.
 const END_TIME: Duration = Duration::from_secs(15);
-/// Lines of a failed pipeline that are shown.
+/// Number of a failed pipeline's last lines that are shown.
 const SHOWN_LINES: usize = 15;
 
-/// Pipelines that run. Dropping it ends them.
+/// Running pipelines. Dropping the value ends them.
 #[derive(Debug)]
 pub(crate) struct Fleet {
     pipelines: Vec<FleetProcess>,
-    folder: PathBuf,
+    /// Folder of the pipelines' output.
+    pub(crate) folder: PathBuf,
 }
 
 #[derive(Debug)]
@@ -40,8 +41,8 @@ impl FleetProcess {
 }
 
 impl Fleet {
-    /// Starts a pipeline for each instance's name, with these arguments of `flockeye up`. What they
-    /// write goes to files in [`Fleet::folder`].
+    /// Starts a pipeline for each instance name, with these arguments of `flockeye up`. Their
+    /// output goes to files in [`Fleet::folder`].
     pub(crate) fn start(pipelines: &[(String, Vec<OsString>)]) -> anyhow::Result<Self> {
         let program = program::find("flockeye")?;
         let folder = std::env::temp_dir().join(format!("flockeye-fleet-{}", std::process::id()));
@@ -52,7 +53,7 @@ impl Fleet {
             let log = fleet.folder.join(format!("{name}.log"));
             let output = File::create(&log).with_context(|| log.display().to_string())?;
             let mut command = Command::new("/proc/self/exe");
-            // So that it does not outlive this process.
+            // The pipeline ends with this process.
             command.args(["exec-stage", "--parent", &std::process::id().to_string()]);
             command.arg(&program).arg("up").args(arguments);
             command.stdin(Stdio::null()).stdout(output.try_clone()?).stderr(output);
@@ -62,15 +63,10 @@ impl Fleet {
         Ok(fleet)
     }
 
-    /// Where the pipelines' output is.
-    pub(crate) fn folder(&self) -> &PathBuf {
-        &self.folder
-    }
-
-    /// Whether all run.
+    /// Checks that all pipelines run.
     ///
     /// # Errors
-    /// One has ended; with its last lines.
+    /// A pipeline has ended. The error contains its last lines.
     pub(crate) fn check(&mut self) -> anyhow::Result<()> {
         for pipeline in &mut self.pipelines {
             if let Some(status) = pipeline.child.try_wait()? {
@@ -91,16 +87,16 @@ impl Fleet {
         lines.join("\n")
     }
 
-    /// Ends all, and removes what they have written.
+    /// Ends all pipelines, and removes their output.
     pub(crate) fn end(mut self) {
         self.stop();
-        // What is left of it costs a few kilobytes in a temporary folder.
+        // An error is ignored: only a few kilobytes stay in a temporary folder.
         drop(std::fs::remove_dir_all(&self.folder));
     }
 
     fn stop(&mut self) {
         for pipeline in &self.pipelines {
-            // One that has ended cannot be signalled, and need not.
+            // An error is ignored: the pipeline may have ended.
             kill_process(Pid::from_child(&pipeline.child), Signal::TERM).ok();
         }
         let end = Instant::now() + END_TIME;
@@ -124,7 +120,7 @@ impl Drop for Fleet {
 }
 
 /// Free TCP ports of the loopback interface. If another program takes one meanwhile, the gateway
-/// fails with that reason.
+/// reports that.
 pub(crate) fn free_ports(count: usize) -> anyhow::Result<Vec<u16>> {
     let listeners: Vec<TcpListener> = (0..count)
         .map(|_| TcpListener::bind(("127.0.0.1", 0)))

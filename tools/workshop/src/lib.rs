@@ -1,5 +1,5 @@
-//! The `flockeye-workshop` command: what helps to write stages and to try out pipelines, and no
-//! drone flies with. `flockeye` passes its commands on to it.
+//! The `flockeye-workshop` command: tools to write stages and to test pipelines, which are not used
+//! in flight. `flockeye` passes its commands on to it.
 //!
 //! | module | what it does |
 //! | --- | --- |

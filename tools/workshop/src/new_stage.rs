@@ -34,7 +34,7 @@ pub(crate) enum Language {
 }
 
 impl Language {
-    /// What makes a program of an example in `folder`.
+    /// The command that builds an example in `folder`.
     fn build(self, folder: &str) -> String {
         match self {
             Self::Python => {
@@ -48,22 +48,22 @@ impl Language {
     }
 }
 
-/// An example that the tests fly.
+/// An example stage, which is tested in flights.
 struct Example {
     stage: StageName,
     lang: Language,
-    /// Where it lies among Flockeye's sources.
+    /// Folder of the example in Flockeye's sources.
     folder: &'static str,
-    /// The name of each file, and its text.
+    /// Name and text of each file.
     files: &'static [(&'static str, &'static str)],
     /// The name of the program.
     program: &'static str,
-    /// Settings that it needs.
+    /// Settings that the example needs.
     set: &'static [&'static str],
 }
 
 impl Example {
-    /// What starts its program, in `folder`.
+    /// The command that starts the program in `folder`.
     fn command(&self, folder: &str) -> String {
         let program = self.program;
         match self.lang {
@@ -73,7 +73,7 @@ impl Example {
         }
     }
 
-    /// The text of a file as it is written to `folder`, with that folder as its own place.
+    /// The text of a file for `folder`, with paths adapted to that folder.
     fn text(
         &self,
         file: &str,
@@ -90,7 +90,7 @@ impl Example {
     }
 }
 
-/// An example, its files read from its folder.
+/// Makes an example with the files from its folder.
 macro_rules! example {
     ($stage:ident, $lang:ident, $folder:literal, $program:literal, [$($file:literal),+], $set:expr) => {
         Example {
@@ -126,16 +126,16 @@ const EXAMPLES: [Example; 5] = [
     ),
 ];
 
-/// Writes the example of a stage to a folder of one's own.
+/// Writes the example of a stage to the user's folder.
 ///
 /// # Errors
-/// There is no such stage or no example of it, or a file is there already or cannot be written.
+/// The stage or its example does not exist, or a file exists already or cannot be written.
 pub(crate) fn run(arguments: &NewArguments) -> anyhow::Result<()> {
     let NewArguments { kind, folder, lang, sources } = arguments;
     let ours = || EXAMPLES.iter().filter(|example| example.lang == *lang);
     let Some(example) = ours().find(|example| example.stage.name() == kind) else {
         let kinds: Vec<_> = ours().map(|example| example.stage.name()).collect();
-        // Every kind that there is has an example in Python.
+        // Every kind with an example has one in Python.
         let has_other = EXAMPLES.iter().any(|example| example.stage.name() == kind);
         let other = if has_other { ", or --lang python" } else { "" };
         bail!(
@@ -150,7 +150,7 @@ pub(crate) fn run(arguments: &NewArguments) -> anyhow::Result<()> {
     }
     let text_of =
         |(file, text): &(&str, &str)| example.text(file, text, &shown, sources.as_deref());
-    // All before the first is written: a failure leaves nothing behind.
+    // All texts are made before the first file is written, so a failure leaves no files.
     let texts = example.files.iter().map(text_of).collect::<anyhow::Result<Vec<String>>>()?;
     for (path, text) in paths.iter().zip(texts) {
         let parent = path.parent().unwrap_or(folder);
@@ -168,8 +168,8 @@ pub(crate) fn run(arguments: &NewArguments) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// The manifest of a stage in Rust outside of Flockeye's own workspace: what the example's manifest
-/// takes from the workspace stands in it.
+/// The manifest of a Rust stage outside of Flockeye's workspace. Dependencies from the workspace
+/// are written out.
 fn manifest(example: &str, sources: Option<&Path>) -> anyhow::Result<String> {
     let built = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
     let sources = sources.unwrap_or(&built);

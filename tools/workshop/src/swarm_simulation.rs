@@ -2,8 +2,8 @@
 //!
 //! | module | what it does |
 //! | --- | --- |
-//! | [`watch`] | reads what each pipeline reports, and what is true |
-//! | [`score`] | compares the one with the other |
+//! | [`watch`] | receives reports and truth from each pipeline |
+//! | [`score`] | compares the reports with the truth |
 
 mod score;
 mod watch;
@@ -29,13 +29,13 @@ use crate::fleet::{Fleet, free_ports};
 
 /// Markers of the default body.
 const MARKERS: u32 = 17;
-/// As many drones have markers of their own in the default dictionary, which has 250.
+/// Largest number of drones with separate markers in the default dictionary of 250.
 const MOST_DRONES: u32 = 250 / MARKERS;
-/// Pipelines are started this long before the world's time is 0.
+/// Time from the start of the pipelines to time 0 of the simulated world.
 const START_TIME: Duration = Duration::from_secs(3);
-/// A swarm in which nobody is seen after this long is not going to be.
+/// Timeout for the first pose in the swarm.
 const PATIENCE: Duration = Duration::from_secs(60);
-/// How often a table is shown, and how often a line is printed where there is no terminal.
+/// Intervals of the table on a terminal, and of lines without a terminal.
 const LIVE_PERIOD: Duration = Duration::from_millis(500);
 const PRINT_PERIOD: Duration = Duration::from_secs(5);
 
@@ -65,7 +65,7 @@ pub(crate) struct SimArguments {
     pub json: bool,
 }
 
-/// Reads width and height, pixels.
+/// Parses width and height, pixels.
 fn size(text: &str) -> Result<[u32; 2], String> {
     let sides = text.split_once('x').map(|(width, height)| (width.parse(), height.parse()));
     match sides {
@@ -74,10 +74,10 @@ fn size(text: &str) -> Result<[u32; 2], String> {
     }
 }
 
-/// Flies a swarm, shows it, and compares it with the truth.
+/// Runs a swarm, shows its state, and compares its poses with the truth.
 ///
 /// # Errors
-/// The configuration is wrong, a pipeline ends, or nobody was seen.
+/// The configuration is wrong, a pipeline ends, or no drone was seen.
 pub(crate) fn run(arguments: &SimArguments) -> anyhow::Result<()> {
     let stopping = signals::stop_flag()?;
     let pipelines = pipelines(arguments)?;
@@ -91,7 +91,7 @@ pub(crate) fn run(arguments: &SimArguments) -> anyhow::Result<()> {
         threads.push(watch(instance, name(drone as u32), sender.clone(), watching.clone())?);
     }
     if !arguments.json {
-        let folder = fleet.folder().display();
+        let folder = fleet.folder.display();
         screen.line(&format!("{} pipelines start; their output is in {folder}", pipelines.len()));
     }
     let mut swarm = SwarmKnowledge::default();
@@ -127,7 +127,7 @@ pub(crate) fn run(arguments: &SimArguments) -> anyhow::Result<()> {
     }
     watching.store(true, Ordering::Relaxed);
     fleet.end();
-    // What one of them could not read is missing in the report, and no reason to withhold the rest.
+    // A failed reader only leaves a gap in the report, so its error is not fatal.
     for outcome in threads.into_iter().map(|thread| thread.join()) {
         if let Ok(Err(error)) = outcome {
             screen.line(&format!("{error:#}"));
@@ -142,7 +142,7 @@ pub(crate) fn run(arguments: &SimArguments) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// The name of a drone, and of its body.
+/// The name of a drone and of its body.
 fn name(drone: u32) -> String {
     format!("drone-{drone}")
 }
@@ -167,7 +167,7 @@ fn pipelines(arguments: &SimArguments) -> anyhow::Result<Vec<(String, Vec<OsStri
         let body = |other| format!("{{name: {}, first_id: {}}}", name(other), MARKERS * other);
         let bodies: Vec<String> = others.map(body).collect();
         let port = &ports[drone as usize];
-        // Each pair links once.
+        // Each drone connects to the earlier ones, so each pair is linked once.
         let earlier: Vec<String> = ports[..drone as usize].iter().map(endpoint).collect();
         let fixed = [
             format!("instance={instance}"),
@@ -180,14 +180,14 @@ fn pipelines(arguments: &SimArguments) -> anyhow::Result<Vec<(String, Vec<OsStri
             format!("gateway.listen=[{}]", endpoint(port)),
             format!("gateway.connect=[{}]", earlier.join(", ")),
         ];
-        // Mistakes are reported before anything is started.
+        // Configuration errors are reported before any process starts.
         arguments.configuration.load_with(&defaults, &fixed)?;
         pipelines.push((instance, arguments.configuration.to_arguments(&defaults, &fixed)));
     }
     Ok(pipelines)
 }
 
-/// What is known of a swarm so far.
+/// The collected data about a swarm.
 #[derive(Debug, Default)]
 struct SwarmKnowledge {
     score: ClaimScore,
@@ -227,7 +227,7 @@ impl SwarmKnowledge {
         }
     }
 
-    /// How many others are known in each way by now.
+    /// Number of present claims in each way, as text.
     fn counts(&self) -> String {
         let claims = || self.newest.values().flatten();
         let counts = SwarmWay::ALL.iter().map(|&way| {
@@ -237,7 +237,7 @@ impl SwarmKnowledge {
         counts.collect::<Vec<_>>().join(", ")
     }
 
-    /// In which way each drone has the others, and how good that was so far.
+    /// A table of the claims of each drone by their way, and the errors so far.
     fn table(&self) -> String {
         let titles = ["drone", "direct", "mutual", "reported", "chained"];
         let mut table = TextTable::new(1, &titles).at_least(&[12, 8, 8, 8, 8]);

@@ -7,17 +7,17 @@ use mavlink::dialects::development::MavMessage;
 use mavlink::error::MessageReadError;
 use mavlink::{MavHeader, MavlinkReader};
 
-/// Hands on the messages that are whole in these bytes. A message never goes over two datagrams, so
-/// what is left of one is forgotten with it, and cannot spoil the next.
+/// Passes on the complete messages in a datagram. A message never spans two datagrams, so an
+/// incomplete rest is dropped with its datagram, and cannot spoil the next.
 pub fn decode(datagram: &[u8], mut hear: impl FnMut(MavHeader, &MavMessage)) {
-    // A byte that only looks like the beginning of a message claims more bytes than there are. With
-    // these it is seen to be none, and what comes after it is found.
+    // A byte that only resembles the start of a message may claim more bytes than there are. These
+    // zeros make its checksum fail, so the reader finds the messages after it.
     let rest = repeat(0).take(MAX_FRAME_SIZE as u64);
     let mut reader = MavlinkReader::with_capacity(0, datagram.chain(rest));
     loop {
         match reader.read_any_message() {
             Ok((header, message)) => hear(header, &message),
-            // A message of another dialect; the next may be ours.
+            // A message of another dialect; the next may be of this one.
             Err(MessageReadError::Parse(_)) => {}
             Err(MessageReadError::Io(_)) => return,
         }

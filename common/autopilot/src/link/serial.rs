@@ -1,7 +1,7 @@
 //! Bytes to and from the autopilot over a serial line.
 //!
-//! The device is opened here and not by `mavlink`: its connection reads until a message comes, and
-//! writes until the line takes everything, so whoever uses it may never return.
+//! The device is opened here and not by `mavlink`. Its connection reads until a message arrives,
+//! and writes until the line accepts everything, so its calls may never return.
 
 use std::fs::{File, OpenOptions};
 use std::io::{self, Read, Write};
@@ -17,12 +17,12 @@ use rustix::termios::{ControlModes, OptionalActions, ioctl_tiocexcl, tcgetattr, 
 
 use super::patience::{TIMEOUT, is_timeout};
 
-/// The half that receives.
+/// The receiving half of the line.
 pub type SerialReader = MavlinkReader<OneRead<Port>>;
 
-/// Opens a device, which no other program can open then. The halves receive and send.
+/// Opens a device exclusively. The halves receive and send.
 pub(super) fn open(device: &str, baud: u32) -> io::Result<(SerialReader, Port)> {
-    // Without waiting for a carrier, and never the terminal that signals come from.
+    // The flags skip the wait for a carrier, and prevent a controlling terminal.
     let flags = (OFlags::NONBLOCK | OFlags::NOCTTY).bits();
     let flags = i32::try_from(flags).map_err(io::Error::other)?;
     let file = OpenOptions::new().read(true).write(true).custom_flags(flags).open(device)?;
@@ -39,7 +39,7 @@ pub(super) fn open(device: &str, baud: u32) -> io::Result<(SerialReader, Port)> 
     Ok((MavlinkReader::new(source), port))
 }
 
-/// Waits for a message and hands it on.
+/// Waits for a message and passes it on.
 pub(super) fn read(
     reader: &mut SerialReader,
     hear: &mut dyn FnMut(MavHeader, &MavMessage) -> bool,
@@ -56,11 +56,11 @@ pub(super) fn read(
     }
 }
 
-/// An open device. Nothing blocks it for longer than [`TIMEOUT`].
+/// An open device. No call blocks for longer than [`TIMEOUT`].
 pub struct Port(File);
 
 impl Port {
-    /// Sends a message; false where the line takes no more. Half a message does no harm: readers
+    /// Sends a message; false where the line is full. An incomplete message does no harm: readers
     /// find the next.
     pub(super) fn write(&mut self, frame: &[u8]) -> io::Result<bool> {
         match self.write_all(frame) {
@@ -79,7 +79,7 @@ impl Port {
             self.wait(PollFlags::OUT)?;
             match self.0.write(bytes) {
                 Ok(count) => bytes = &bytes[count..],
-                // There was less room than the system said.
+                // The buffer had less room than reported.
                 Err(error) if is_timeout(&error) => {}
                 Err(error) => return Err(error),
             }
@@ -93,7 +93,7 @@ impl Port {
         if poll(&mut waiting, Some(&timeout))? == 0 {
             return Err(io::ErrorKind::TimedOut.into());
         }
-        // Where the line has gone, reading and writing say why.
+        // If the line is lost, reading and writing return the reason.
         Ok(())
     }
 }
@@ -105,8 +105,8 @@ impl Read for Port {
     }
 }
 
-/// Gives up after each read. A line with the wrong rate gives bytes without end and never a
-/// message; whoever reads until a message comes would never see that it shall stop.
+/// Reports a timeout after each read. A line with the wrong rate yields endless bytes and never a
+/// message. So a reader that waits for a message would never stop.
 pub struct OneRead<R> {
     source: R,
     has_read: bool,

@@ -12,32 +12,27 @@ use super::decoder::decode;
 use super::patience::{SILENT, TIMEOUT, is_timeout};
 use flockeye_runtime::lock::lock;
 
-/// Longer datagrams are cut: nobody sends longer ones over a network whose packets have 1,500
-/// bytes.
+/// Maximum length of a datagram, bytes; longer ones are cut. Packets of the usual networks have at
+/// most 1,500 bytes.
 const MAX_DATAGRAM: usize = 2048;
 
-/// Where the autopilot is.
-#[derive(Debug)]
-enum Peer {
-    /// There; nobody else is heard.
-    Fixed,
-    /// Address that the last message came from, and its time.
-    Heard(Mutex<Option<(SocketAddr, Instant)>>),
-}
+/// Address of the autopilot's last message, and its time of arrival; none before the first.
+type LastSender = Mutex<Option<(SocketAddr, Instant)>>;
 
-/// A socket, and who is at its other end. Its clone is the same line.
+/// A UDP socket and the address at its other end. A clone shares both.
 #[derive(Debug)]
 pub struct UdpLine {
     socket: UdpSocket,
-    peer: Arc<Peer>,
+    /// The autopilot's address where the socket listens; none where it is connected to one host.
+    last_sender: Option<Arc<LastSender>>,
 }
 
 /// Listens on this machine's address.
 pub(super) fn listen(address: SocketAddr) -> io::Result<UdpLine> {
-    line(UdpSocket::bind(address)?, Peer::Heard(Mutex::new(None)))
+    line(UdpSocket::bind(address)?, Some(Arc::default()))
 }
 
-/// Talks to this host and port.
+/// Connects to this host and port.
 pub(super) fn connect(address: &str) -> io::Result<UdpLine> {
     let unknown = || io::Error::other(format!("{address} has no address"));
     let address = address.to_socket_addrs()?.next().ok_or_else(unknown)?;
@@ -47,21 +42,22 @@ pub(super) fn connect(address: &str) -> io::Result<UdpLine> {
     };
     let socket = UdpSocket::bind(any)?;
     socket.connect(address)?;
-    line(socket, Peer::Fixed)
+    line(socket, None)
 }
 
-fn line(socket: UdpSocket, peer: Peer) -> io::Result<UdpLine> {
+fn line(socket: UdpSocket, last_sender: Option<Arc<LastSender>>) -> io::Result<UdpLine> {
     socket.set_read_timeout(Some(TIMEOUT))?;
     socket.set_write_timeout(Some(TIMEOUT))?;
-    Ok(UdpLine { socket, peer: Arc::new(peer) })
+    Ok(UdpLine { socket, last_sender })
 }
 
 impl UdpLine {
     pub(super) fn try_clone(&self) -> io::Result<Self> {
-        Ok(Self { socket: self.socket.try_clone()?, peer: self.peer.clone() })
+        Ok(Self { socket: self.socket.try_clone()?, last_sender: self.last_sender.clone() })
     }
 
-    /// Waits for a datagram and hands on its messages. `hear` says whether the autopilot speaks.
+    /// Waits for a datagram and passes on its messages. `hear` returns whether the autopilot sent a
+    /// message.
     pub(super) fn read(
         &self,
         hear: &mut dyn FnMut(MavHeader, &MavMessage) -> bool,
@@ -74,24 +70,25 @@ impl UdpLine {
         };
         let mut is_autopilot = false;
         decode(&datagram[..length], |header, message| is_autopilot |= hear(header, message));
-        if is_autopilot && let Peer::Heard(heard) = &*self.peer {
-            let mut heard = lock(heard);
+        if is_autopilot && let Some(last_sender) = &self.last_sender {
+            let mut last_sender = lock(last_sender);
             // Messages from another address are refused while the autopilot sends.
             let is_free =
-                heard.is_none_or(|(peer, last)| peer == sender || last.elapsed() > SILENT);
+                last_sender.is_none_or(|(peer, last)| peer == sender || last.elapsed() > SILENT);
             if is_free {
-                *heard = Some((sender, Instant::now()));
+                *last_sender = Some((sender, Instant::now()));
             }
         }
         Ok(())
     }
 
-    /// Sends a message; false where nobody is there yet.
+    /// Sends a message; false where the autopilot's address is not known yet or nothing receives
+    /// there.
     pub(super) fn write(&self, frame: &[u8]) -> io::Result<bool> {
-        let sent = match &*self.peer {
-            Peer::Fixed => self.socket.send(frame),
-            Peer::Heard(heard) => {
-                let Some((peer, _)) = *lock(heard) else { return Ok(false) };
+        let sent = match &self.last_sender {
+            None => self.socket.send(frame),
+            Some(last_sender) => {
+                let Some((peer, _)) = *lock(last_sender) else { return Ok(false) };
                 self.socket.send_to(frame, peer)
             }
         };
@@ -103,8 +100,8 @@ impl UdpLine {
     }
 }
 
-/// Whether the error only means that nobody receives now: the autopilot starts later, or its
-/// network does.
+/// Whether the error only means that nothing receives now: the autopilot or its network starts
+/// later.
 fn is_nobody(error: &io::Error) -> bool {
     use io::ErrorKind::{ConnectionRefused, HostUnreachable, NetworkDown, NetworkUnreachable};
     matches!(error.kind(), ConnectionRefused | HostUnreachable | NetworkDown | NetworkUnreachable)

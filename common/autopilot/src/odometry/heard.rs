@@ -1,4 +1,4 @@
-//! Which MAVLink messages say how the drone moves, along the axes of REP-103.
+//! Conversion of MAVLink's motion messages to the axes of REP-103.
 
 use mavlink::dialects::development::{
     ATTITUDE_QUATERNION_DATA, LOCAL_POSITION_NED_DATA, MavFrame, ODOMETRY_DATA,
@@ -8,11 +8,11 @@ use nalgebra::{Isometry3, Matrix3, Matrix6, UnitQuaternion, Vector3};
 use super::instant::{OdometryAt, OdometryFrame};
 use crate::axes::{enu_from_ned, flip, flu_from_frd, from_wxyz};
 
-/// A position further off, or a velocity above, is none, metres and metres a second.
+/// Maximum position and velocity, metres and metres per second.
 const LARGEST: f64 = 1e7;
 
-/// `ODOMETRY`: position, attitude, velocities and covariance in one. None where its frames are none
-/// of those that autopilots send, or its numbers are no numbers.
+/// `ODOMETRY`: position, attitude, velocities and covariance in one. None where its frames are not
+/// those that autopilots send, or its numbers are invalid.
 ///
 /// Frames: pose in `LOCAL_NED` or `LOCAL_FRD`, velocity in `BODY_FRD` or the pose's frame. Rates
 /// are the body's in each case.
@@ -35,7 +35,7 @@ pub(super) fn from_odometry(message: &ODOMETRY_DATA) -> Option<OdometryAt> {
         odom_from_base: Isometry3::from_parts(position.into(), odom_from_base),
         frame,
         covariance: covariance(&message.pose_covariance).map(|covariance| {
-            // The position's part is along the local frame's axes, the rotation's along the body's
+            // The position's block is along the local frame's axes, the rotation's along the body's
             // (FRD).
             let mut turn = Matrix6::zeros();
             turn.fixed_view_mut::<3, 3>(0, 0).copy_from(&matrix(&odom_from_local));
@@ -79,7 +79,7 @@ pub(super) fn from_attitude(message: &ATTITUDE_QUATERNION_DATA) -> Option<Attitu
 
 fn vector(parts: [f32; 3]) -> Option<Vector3<f64>> {
     let vector = Vector3::from(parts.map(f64::from));
-    // The test also fails where one of them is no number.
+    // NaN fails this comparison too.
     (vector.amax() < LARGEST && vector.iter().all(|part| part.is_finite())).then_some(vector)
 }
 
@@ -91,8 +91,8 @@ fn matrix(rotation: &UnitQuaternion<f64>) -> Matrix3<f64> {
     rotation.to_rotation_matrix().into_inner()
 }
 
-/// The full matrix of the upper triangle, row by row. None where a variance is not known. A
-/// covariance that is not known (PX4 sends variances only) counts as zero.
+/// The full matrix of the upper triangle, row by row. None where a variance is unknown. An unknown
+/// covariance (PX4 sends variances only) counts as zero.
 fn covariance(upper: &[f32; 21]) -> Option<Matrix6<f64>> {
     let mut full = Matrix6::zeros();
     let mut parts = upper.iter();

@@ -1,13 +1,13 @@
-//! How the drone moves at one instant.
+//! The drone's motion at one instant.
 
 use nalgebra::{Isometry3, Matrix6, Vector3};
 
-/// Along which axes the odometry's `odom` frame lies.
+/// The axes of the odometry's `odom` frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum OdometryFrame {
     /// x east, y north, z up (REP-103).
     Enu,
-    /// x forward and y left where the autopilot began, z up: it does not know north.
+    /// x forward and y left at the autopilot's start, z up: north is unknown.
     Flu,
 }
 
@@ -16,13 +16,13 @@ pub enum OdometryFrame {
 pub struct OdometryState {
     /// The instant, CLOCK_MONOTONIC, nanoseconds.
     pub at_ns: i64,
-    /// Rises where the estimate leaps: the poses of two epochs have different origins.
+    /// Increases when the estimate jumps: the poses of two epochs have different origins.
     pub epoch: u32,
     /// The estimate.
     pub odometry: OdometryAt,
 }
 
-/// How the drone moves at an instant (REP-103, REP-105).
+/// The drone's motion at an instant (REP-103, REP-105).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct OdometryAt {
     /// Pose of `base_link` (x forward, y left, z up) in `odom`, metres.
@@ -30,7 +30,7 @@ pub struct OdometryAt {
     /// The axes of `odom`.
     pub frame: OdometryFrame,
     /// Covariance of the pose: position (m), then rotation vector (rad), both along the axes of
-    /// `odom`; none where the autopilot does not tell.
+    /// `odom`. None where the autopilot does not report it.
     pub covariance: Option<Matrix6<f64>>,
     /// Velocity along the axes of `base_link`, m/s.
     pub linear_velocity_m_s: Vector3<f64>,

@@ -10,7 +10,7 @@ use super::error::{MAX_FILE_BYTES, ResolveError};
 use super::mount::isometry;
 use crate::types::{BodySet, Mount, Preset, PresetBody};
 
-/// The bodies of `bodies.file`, or else those of `bodies.list`. A body's place in them is the `target`
+/// The bodies of `bodies.file`, or else of `bodies.list`. The index of a body is the `target`
 /// number of the contract.
 ///
 /// # Errors
@@ -33,7 +33,7 @@ pub fn bodies(settings: &BodySet) -> Result<Bodies, ResolveError> {
     Bodies::new(wanted.clone(), bodies?).map_err(ResolveError::List)
 }
 
-/// The configured bodies, with those of the file at `path` in place of the ones of the same name.
+/// The configured bodies, with replacements of the same names from the file at `path`.
 pub(crate) fn simulated_bodies(configured: &Bodies, path: &Path) -> Result<Bodies, ResolveError> {
     let real = read_bodies(path)?;
     check_dictionary(path, &real, &configured.dictionary)?;

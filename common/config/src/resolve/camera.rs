@@ -8,7 +8,7 @@ use super::error::SettingError;
 use super::mount::isometry;
 use crate::types::{CameraSettings, FisheyeLens, Pipeline};
 
-/// The camera model, right for `camera.assumed_distance_m`.
+/// The camera model, exact for `camera.assumed_distance_m`.
 ///
 /// # Errors
 /// Settings that describe no possible camera.
@@ -54,7 +54,7 @@ pub(crate) fn camera(settings: &CameraSettings) -> Result<Camera, SettingError> 
     Ok(model.at_distance(settings.assumed_distance_m))
 }
 
-/// The camera that the simulator draws: the configured one with the lenses of `simulator`, where it has some.
+/// Camera of the simulator: the configured one with the lenses of `simulator`, where it has some.
 ///
 /// # Errors
 /// Settings that describe no possible camera, with their keys in `simulator`.
@@ -68,7 +68,7 @@ pub(crate) fn simulated_camera(pipeline: &Pipeline) -> Result<Camera, SettingErr
         settings.lenses.clone_from(&simulator.lenses);
     }
     camera(&settings).map_err(|SettingError { key, reason }| {
-        // What is not the simulator's own is the camera's.
+        // Other settings are the camera's.
         let is_own = match key.strip_prefix("camera.") {
             Some("lens_distance_m") => simulator.lens_distance_m.is_some(),
             Some(rest) => rest.starts_with("lenses") && !simulator.lenses.is_empty(),
@@ -79,14 +79,14 @@ pub(crate) fn simulated_camera(pipeline: &Pipeline) -> Result<Camera, SettingErr
     })
 }
 
-/// The camera's transfer curve, and its gamma where it has one.
+/// Transfer curve of the camera, and its gamma where it has one.
 pub(crate) fn transfer(settings: &CameraSettings) -> (Transfer, f32) {
     let has_gamma = settings.response == Transfer::Gamma;
     (settings.response, if has_gamma { settings.gamma } else { 0.0 })
 }
 
-/// The radiance of each code if the camera's response is a measured table; `None` for the curves that
-/// headers name.
+/// The radiance of each code if the camera's response is a measured table; `None` for the curves
+/// that headers name.
 ///
 /// # Errors
 /// As [`response_table`].

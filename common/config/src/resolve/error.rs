@@ -1,13 +1,13 @@
-//! Why nothing can be computed from a configuration.
+//! Errors of the values computed from a configuration.
 
 use std::path::PathBuf;
 
 use flockeye_geometry::body::BodiesError;
 
-/// Ten times the size of a file of 32 bodies with 100 markers each.
+/// Maximum size of a bodies file, bytes: ten times that of 32 bodies with 100 markers each.
 pub(super) const MAX_FILE_BYTES: u64 = 16_000_000;
 
-/// Why a configuration cannot be resolved.
+/// Reason why a configuration cannot be resolved.
 #[expect(missing_docs, reason = "the texts name the fields")]
 #[derive(Debug, thiserror::Error)]
 pub enum ResolveError {
@@ -38,10 +38,10 @@ pub enum ResolveError {
     /// The file lacks the named body.
     #[error("{path} has no body '{name}'; it has {}", .has.join(", "))]
     Missing { path: PathBuf, name: String, has: Vec<String> },
-    /// A file of another dictionary.
+    /// The file has another dictionary.
     #[error("the markers of {path} are from {found}, those of the other bodies from {wanted}")]
     Dictionary { path: PathBuf, found: String, wanted: String },
-    /// A body that is not the configured one.
+    /// The body differs from the configured one.
     #[error(
         "{path}: body '{name}' has other marker ids than the configured one. Cure: give it the same \
          ids, or another name"
@@ -49,13 +49,13 @@ pub enum ResolveError {
     Ids { path: PathBuf, name: String },
 }
 
-/// A setting of which nothing can be computed.
+/// A setting that makes a computation impossible.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error("{key}: {reason}")]
 pub struct SettingError {
     /// Its key in the configuration.
     pub key: String,
-    /// What is wrong with it, and the cure.
+    /// The fault, and its cure.
     pub reason: String,
 }
 

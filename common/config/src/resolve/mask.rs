@@ -1,4 +1,4 @@
-//! What the configured camera cannot see.
+//! Mask of the pixels that the configured camera cannot see.
 
 use std::fs::File;
 use std::io::{self, BufReader};
@@ -11,10 +11,10 @@ use super::error::SettingError;
 
 const KEY: &str = "camera.mask";
 
-/// Pixels of a mask darker than this are hidden.
+/// Limit of a mask's pixel values below which a pixel is hidden.
 const HIDDEN_BELOW: u8 = 128;
 
-/// What the camera sees: everything its image circles hold, less what the picture at `path`
+/// Visible pixels: all of the image circles, except those that the picture at `path`
 /// (`camera.mask`) hides.
 ///
 /// # Errors
@@ -26,8 +26,7 @@ pub(crate) fn mask(path: Option<&Path>, camera: &Camera) -> Result<Mask, Setting
         .map_err(|error| SettingError::new(KEY, format!("{}: {error}", path.display())))
 }
 
-/// The sides of a mask's picture, and, if they are the camera's, which of its pixels are bright, row
-/// by row.
+/// Size of a mask's picture, and its bright pixels row by row if the size is the camera's.
 fn read_mask(path: &Path, camera: &Camera) -> Result<([u32; 2], Vec<bool>), SettingError> {
     let path_text = path.display();
     let open =
@@ -41,7 +40,7 @@ fn read_mask(path: &Path, camera: &Camera) -> Result<([u32; 2], Vec<bool>), Sett
     let mut reader = decoder.read_info().map_err(decode)?;
     let (width, height) = reader.info().size();
     if (width, height) != (camera.width(), camera.height()) {
-        // Refuse the size before allocating memory for it.
+        // Wrong sizes are refused before memory for them is allocated.
         return Ok(([width, height], Vec::new()));
     }
     let Some(bytes) = reader.output_buffer_size() else {
@@ -50,7 +49,7 @@ fn read_mask(path: &Path, camera: &Camera) -> Result<([u32; 2], Vec<bool>), Sett
     let mut pixels = vec![0; bytes];
     let info = reader.next_frame(&mut pixels).map_err(decode)?;
     let channels = info.color_type.samples();
-    // Of a colour picture any bright channel counts; transparency does not.
+    // In a colour picture any bright channel counts; transparency does not.
     let colours = match channels {
         1 | 2 => 1,
         _ => 3,

@@ -1,4 +1,4 @@
-//! What a process computes from a configuration, once.
+//! Values that a process computes once from a configuration.
 
 mod bodies;
 mod camera;
@@ -24,39 +24,40 @@ pub use error::{ResolveError, SettingError};
 pub use mount::isometry;
 pub use sphere::Division;
 
-// What the check of a configuration needs of each part before all of them are right.
+// Parts that the check of a configuration needs before all of them are valid.
 pub(crate) use bodies::preset_body;
 pub(crate) use camera::{camera, response_table, simulated_camera};
 pub(crate) use sphere::{PARTITION, high_resolution_tiles};
 
-/// Tiles searched after the regions of interest in each frame with `profile: unlimited`: a third of the
-/// default partitions, so that the sphere is swept within a few frames and no frame takes much longer than another.
+/// Number of tiles searched after the regions of interest in each frame with `profile: unlimited`.
+/// It is a third of the default partitions. So a few frames sweep the sphere, and their processing
+/// times are similar.
 const UNLIMITED_TILES: usize = 4;
 
-/// A configuration, and what is computed from it: bodies with their geometry, the camera, the views that
-/// cover its sphere. Built once for each process.
+/// A configuration, and the values computed from it: bodies with their geometry, the camera, the
+/// views of its sphere. Built once for each process.
 #[derive(Debug, Clone)]
 pub struct Resolved {
     /// The configuration as it was read.
     pub pipeline: Pipeline,
-    /// The neighbours' marker bodies. A body's place in them is the `target` number of the contract.
+    /// Marker bodies of the neighbours. The index of a body is the `target` number of the contract.
     pub bodies: Bodies,
-    /// The camera model, right for `camera.assumed_distance_m`.
+    /// The camera model, exact for `camera.assumed_distance_m`.
     pub camera: Camera,
-    /// Where the camera sits on this drone.
+    /// Pose of the camera on this drone.
     pub observer_from_camera: Isometry3<f64>,
     /// The code of the camera's transfer curve, and its gamma where it has one (else 0).
     pub transfer: (Transfer, f32),
-    /// The radiance of each code, white being 1, where `camera.response` is a table; `None` for the
+    /// Radiance of each code, white being 1, where `camera.response` is a table. `None` for the
     /// curves that headers name.
     pub measured_response: Option<[f32; 256]>,
-    /// How the sphere is divided.
+    /// Division of the sphere.
     pub division: Division,
     /// The partitions as views, in the order of their numbers.
     pub partition_views: Vec<View>,
-    /// The views that sweep the sphere for neighbours too far for the partitions; may be none.
+    /// Views that sweep the sphere for neighbours too far for the partitions; there may be none.
     pub high_resolution_tiles: Vec<View>,
-    /// How regions of interest are cut from this camera's frames.
+    /// Parameters for cutting regions of interest from this camera's frames.
     pub roi_options: RoiOptions,
     mask: OnceLock<Mask>,
 }
@@ -65,14 +66,14 @@ impl Resolved {
     /// Resolves `pipeline`.
     ///
     /// # Errors
-    /// A bodies file that cannot be read, or settings that contradict it. For a pipeline that was not read
-    /// by [`Pipeline::load`], also everything that `load` refuses.
+    /// A bodies file that cannot be read, or settings that contradict it. For a pipeline that was
+    /// not read by [`Pipeline::load`], also everything that `load` refuses.
     pub fn of(pipeline: Pipeline) -> Result<Self, ResolveError> {
         let bodies = bodies(&pipeline.bodies)?;
         Self::with_bodies(pipeline, bodies)
     }
 
-    /// Resolves `pipeline` with bodies that are known already, as those that a recording carries.
+    /// Resolves `pipeline` with known bodies, such as those of a recording.
     ///
     /// # Errors
     /// As [`Resolved::of`], but no file of bodies is read.
@@ -98,8 +99,8 @@ impl Resolved {
         })
     }
 
-    /// What the camera sees: everything its image circles hold, less what `camera.mask` hides. The
-    /// file is read when it is first asked for, because only some processes need it.
+    /// Visible pixels: all of the image circles, except those that `camera.mask` hides. The file is
+    /// read at the first use, because only some processes need it.
     ///
     /// # Errors
     /// The file cannot be read, or is of another size than the frames.
@@ -113,8 +114,8 @@ impl Resolved {
         }
     }
 
-    /// The bodies as they fly in the simulated world: those of `simulator.bodies` instead of the
-    /// configured ones of the same name.
+    /// Bodies of the simulated world: those of `simulator.bodies` replace the configured ones of
+    /// the same name.
     ///
     /// # Errors
     /// The file cannot be read, or has other ids or another dictionary.
@@ -125,7 +126,8 @@ impl Resolved {
         }
     }
 
-    /// The camera as the simulated world has it: with the lenses of `simulator` instead of the configured ones.
+    /// Camera of the simulated world: with the lenses of `simulator` instead of the configured
+    /// ones.
     ///
     /// # Errors
     /// Lenses that no camera has.

@@ -12,16 +12,16 @@ use flockeye_geometry::view::View;
 use super::error::SettingError;
 use crate::types::{PartitionSettings, Pipeline};
 
-/// Overlap of the high-resolution tiles, radians. Small, because the neighbours searched there are far away and
-/// their markers look small.
+/// Overlap of the high-resolution tiles, radians. It is small, because distant neighbours and their
+/// markers look small.
 const FAR_MARGIN_RAD: f64 = 2.5 / 180.0 * PI;
 
-/// The side of the largest of these views, pixels, if no message can carry it.
+/// Side of the largest of these views, pixels, if no message has room for it.
 fn too_large(views: &[View]) -> Option<u32> {
     views.iter().map(|view| view.size_px).max().filter(|&size_px| size_px > MAX_VIEW_PX)
 }
 
-/// The key of what is wrong with a partition.
+/// Key of a fault in a partition.
 pub(crate) const PARTITION: &str = "partition";
 
 pub(crate) fn of_partition(error: PartitionError) -> SettingError {
@@ -34,14 +34,14 @@ type Key = (Method, usize);
 /// Partitions that this process computed, because they are not stored.
 static FOUND: Mutex<Vec<(Key, Partition)>> = Mutex::new(Vec::new());
 
-/// The directions that share the sphere: every process of a pipeline finds the same.
+/// Directions that divide the sphere: the same in every process of a pipeline.
 fn partition(settings: &PartitionSettings) -> Result<Partition, PartitionError> {
     let (method, count, seed) = (settings.method.into(), settings.count, partition::STORED_SEED);
     let key = (method, count);
     if Partition::is_stored(method, count, seed) {
         return Partition::of(method, count, seed);
     }
-    // Found once in each process: the check of the configuration needs it, then the stage.
+    // Computed once in each process: the check of the configuration needs it, then the stage.
     let mut found = FOUND.lock().unwrap_or_else(PoisonError::into_inner);
     if let Some((_, partition)) = found.iter().find(|(known, _)| *known == key) {
         return Ok(partition.clone());
@@ -57,10 +57,10 @@ fn partition(settings: &PartitionSettings) -> Result<Partition, PartitionError> 
     Ok(partition)
 }
 
-/// How the sphere is divided: the directions of the partitions, and how far their views overlap.
+/// Division of the sphere: the directions of the partitions, and the overlap of their views.
 #[derive(Debug, Clone)]
 pub struct Division {
-    /// The directions that share the sphere.
+    /// The directions that divide the sphere.
     pub partition: Partition,
     /// Overlap of the partitions, radians: the largest marker seen from `partition.nearest_m`.
     pub margin_rad: f64,
@@ -83,7 +83,7 @@ impl Division {
         Ok(Self { partition, margin_rad, field_rad })
     }
 
-    /// The partitions as views, at the resolution that the profile wants.
+    /// The partitions as views, at the resolution of the profile.
     ///
     /// # Errors
     /// A margin that leaves no view; views that no message can carry.
@@ -105,9 +105,9 @@ impl Division {
     }
 }
 
-/// The high-resolution views for neighbours too far for the partitions: the stored covering with the
-/// most views, at the sphere's resolution times `search.far_magnification`. None where the partitions
-/// see as much, and where no region of interest would follow.
+/// High-resolution views for neighbours too far for the partitions. They are the stored covering
+/// with the most views, at the sphere's resolution times `search.far_magnification`. None where the
+/// partitions have the same resolution, and where no region of interest would follow.
 ///
 /// # Errors
 /// A margin that leaves no view; views that no message can carry.

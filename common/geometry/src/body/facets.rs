@@ -1,4 +1,4 @@
-//! What markers are glued to.
+//! The flat sides of a body, which carry its markers.
 
 use nalgebra::{Point3, Vector3};
 
@@ -13,20 +13,20 @@ pub struct Facet {
     /// Its corners in the markers' frame, metres: a convex polygon, counter-clockwise seen from
     /// outside.
     pub outline: Vec<Point3<f64>>,
-    /// Which of the body's markers it carries: an index into [`super::Body::markers`].
+    /// Marker on this side: an index into [`super::Body::markers`].
     pub marker: Option<usize>,
 }
 
-/// Limit on how far a hull rises over a marker on it, metres. The marker is wider than the square
+/// Limit on the height of a hull over a marker on it, metres. The marker is wider than the square
 /// whose plane was measured.
 const CONVEXITY_M: f64 = 5.0 * FLATNESS_M;
 
-/// Limit on the distance of a marker's corners from the facet that was given for it, in sides of
-/// the marker: it was glued by hand, and measured.
+/// Limit on the distance of a marker's corners from its given facet, in sides of the marker.
+/// Markers are glued and measured by hand.
 const GLUED_SIDES: f64 = 0.1;
 
-/// The facets of markers with quiet zones of these widths (metres): the sides of their hull; where
-/// there is none, or where a side carries several, the markers' own white squares.
+/// Facets of markers with quiet zones of these widths (metres): the sides of their hull. Without a
+/// hull, or where a side carries several markers, the markers' own white squares replace it.
 pub(super) fn round(markers: &[Marker], quiet_zones_m: &[f64]) -> Vec<Facet> {
     let own: Vec<Facet> = (0..markers.len())
         .map(|k| Facet {
@@ -48,7 +48,7 @@ pub(super) fn round(markers: &[Marker], quiet_zones_m: &[f64]) -> Vec<Facet> {
     of_solid(&Solid::hull(points, &normals), own)
 }
 
-/// The sides of a solid, and on each the marker that is on it.
+/// The sides of a solid, each with the marker on it.
 pub(super) fn on(solid: &Solid, markers: &[Marker]) -> Vec<Facet> {
     let own = (0..markers.len()).map(|k| Facet {
         normal: markers[k].normal(),
@@ -58,7 +58,7 @@ pub(super) fn on(solid: &Solid, markers: &[Marker]) -> Vec<Facet> {
     of_solid(solid, own.collect())
 }
 
-/// The sides of a solid; where one carries several markers, `own` of each instead.
+/// The sides of a solid. A side with several markers is replaced by `own` of each marker.
 fn of_solid(solid: &Solid, own: Vec<Facet>) -> Vec<Facet> {
     let mut carried = vec![Vec::new(); solid.faces.len()];
     for (k, facet) in own.iter().enumerate() {
@@ -93,7 +93,7 @@ fn white_square(marker: &Marker, quiet_zone_m: f64) -> Vec<Point3<f64>> {
     marker.corners.iter().rev().map(|corner| centre + (corner - centre) * scale).collect()
 }
 
-/// Facets as they were given for the body `name`; what is wrong with them goes to `problems`.
+/// Facets as given for the body `name`; their errors are added to `problems`.
 pub(super) fn given(
     name: &str,
     markers: &[Marker],
@@ -126,8 +126,8 @@ pub(super) fn given(
 }
 
 impl Facet {
-    /// Whether the marker looks the same way, and its corners lie on the facet, or `reach_m` at
-    /// most beside or over it.
+    /// Whether the marker has the direction of the facet and its corners lie on it, at most
+    /// `reach_m` beside or above.
     pub fn holds(&self, marker: &Marker, reach_m: f64) -> bool {
         let count = self.outline.len();
         let is_on = |corner: &Point3<f64>| {
@@ -142,7 +142,7 @@ impl Facet {
     }
 }
 
-/// The outward normal of a polygon, or what keeps it from being a facet.
+/// The outward normal of a polygon, or the reason why it is no facet.
 fn normal_of(outline: &[Point3<f64>]) -> Result<Vector3<f64>, String> {
     if !outline.iter().flat_map(|p| p.iter()).all(|x| x.is_finite()) {
         return Err("has a corner that is not a number".into());
@@ -153,7 +153,7 @@ fn normal_of(outline: &[Point3<f64>]) -> Result<Vector3<f64>, String> {
     }
     let middle = outline.iter().map(|p| p.coords).sum::<Vector3<f64>>() / count as f64;
     let from_middle = |k: usize| outline[k % count].coords - middle;
-    // Newell's way: right for any flat polygon.
+    // Newell's method: correct for any flat polygon.
     let area: Vector3<f64> = (0..count).map(|k| from_middle(k).cross(&from_middle(k + 1))).sum();
     let size = (0..count).map(|k| from_middle(k).norm()).fold(0.0, f64::max);
     if size < 1e-3 || area.norm() < 1e-4 * size * size {

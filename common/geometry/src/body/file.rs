@@ -46,8 +46,8 @@ impl Bodies {
     ///
     /// A marker's white square is [`super::FACET_PER_MARKER`] times as large as its black one, or
     /// `"quiet_zone_m"` wider on each side (of the marker, or of the whole body). A body's
-    /// `"facets": [[[x, y, z], ..], ..]`, counter-clockwise seen from outside, replace both.
-    /// Other keys are for others, and passed over.
+    /// `"facets": [[[x, y, z], ..], ..]`, counter-clockwise seen from outside, replace both. Other
+    /// keys are ignored.
     ///
     /// # Errors
     /// Malformed JSON with its line and column, or every contradiction ([`Bodies::new`]).
@@ -56,7 +56,7 @@ impl Bodies {
         let mut problems = Vec::new();
         let bodies: Vec<Body> =
             file.bodies.into_iter().map(|(name, body)| body.read(name, &mut problems)).collect();
-        // What is wrong with a marker is wrong with its facet too: markers come first.
+        // An error of a marker is also an error of its facet, so markers come first.
         let bodies = Self::new(file.dictionary, bodies)?;
         if problems.is_empty() { Ok(bodies) } else { Err(BodiesError::Contradictions(problems)) }
     }
@@ -87,7 +87,7 @@ impl Bodies {
 }
 
 impl BodyFile {
-    /// The body, and what is wrong with its facets.
+    /// Creates the body, and adds the errors of its facets to `problems`.
     fn read(self, name: String, problems: &mut Vec<String>) -> Body {
         let mut listed = self.markers;
         listed.sort_by_key(|marker| marker.id);

@@ -2,10 +2,10 @@
 
 use nalgebra::{Isometry3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
 
-/// Side of a marker's white facet, in sides of its black square, where nothing else is said.
+/// Side of a marker's white facet where the file states none, in sides of the black square.
 pub const FACET_PER_MARKER: f64 = 1.25;
 
-/// Most markers of a body: more are no body of anybody's.
+/// Most markers of a body.
 pub(super) const MAX_MARKERS: usize = 100;
 
 /// One printed marker of a body.
@@ -37,12 +37,12 @@ impl Marker {
         (0..4).map(|k| (self.corners[(k + 1) % 4] - self.corners[k]).norm()).sum::<f64>() / 4.0
     }
 
-    /// Width of the white that it has round it where nothing else is said, metres.
+    /// Width of the white margin around the marker where the file states none, metres.
     pub fn usual_quiet_zone_m(&self) -> f64 {
         (FACET_PER_MARKER - 1.0) / 2.0 * self.side()
     }
 
-    /// Whether all its corners are numbers.
+    /// Whether all corners are finite.
     pub(super) fn is_finite(&self) -> bool {
         self.corners.iter().flat_map(|corner| corner.iter()).all(|x| x.is_finite())
     }

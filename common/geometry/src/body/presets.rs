@@ -35,12 +35,12 @@ pub struct TruncatedSizes {
     pub marker_m: f64,
     /// Side of the 4 markers on triangles.
     pub small_marker_m: f64,
-    /// How far these lie from the middle of their triangle, towards the belt.
+    /// Distance of the small markers from the middle of their triangle, towards the belt.
     pub small_shift_m: f64,
 }
 
 impl Default for TruncatedSizes {
-    /// The body that was flown.
+    /// The body of the test flights.
     fn default() -> Self {
         Self {
             edge_m: 0.075,
@@ -94,7 +94,7 @@ pub fn cube(name: &str, edge: f64, marker_side: f64, first_id: u32) -> Body {
 }
 
 /// One marker on a square plate of edge `edge`, looking along +z from the origin, its printed up
-/// towards +x (preset `plate`). Nothing is known of its back. `edge` and `marker_side` in metres.
+/// towards +x (preset `plate`). Its back is not modelled. `edge` and `marker_side` in metres.
 pub fn plate(name: &str, edge: f64, marker_side: f64, id: u32) -> Body {
     let site = Site::towards((0.0, FRAC_PI_2), 0.0);
     let mut outline = site.marker(id, edge).corners.to_vec();
@@ -116,7 +116,7 @@ fn rhombicuboctahedron(edge: f64, lowest: f64) -> Solid {
         }
     }
     vertices.retain(|vertex| vertex.z > lowest);
-    // Its facets look to a cube's faces, edges and corners.
+    // The facets have the directions of a cube's faces, edges and corners.
     let steps = || [-1.0, 0.0, 1.0].into_iter();
     let normals = steps()
         .flat_map(|x| steps().flat_map(move |y| steps().map(move |z| Vector3::new(x, y, z))))
@@ -129,7 +129,7 @@ fn ring(count: u32, azimuth: f64, elevation: f64) -> impl Iterator<Item = (f64, 
     (0..count).map(move |k| (azimuth + f64::from(k) * TAU / f64::from(count), elevation))
 }
 
-/// Where a marker goes: the middle of its facet.
+/// Place of a marker: the middle of its facet.
 struct Site {
     centre: Vector3<f64>,
     normal: Vector3<f64>,
@@ -137,7 +137,7 @@ struct Site {
 }
 
 impl Site {
-    /// On the facet that looks to this azimuth and elevation (radians), `distance` metres from the
+    /// Place on the facet in this azimuth and elevation (radians), `distance` metres from the
     /// body's centre.
     fn towards((azimuth, elevation): (f64, f64), distance: f64) -> Self {
         let (sin_az, cos_az) = azimuth.sin_cos();
@@ -149,7 +149,7 @@ impl Site {
         } else {
             Vector3::new(-sin_el * cos_az, -sin_el * sin_az, cos_el)
         };
-        // Exact, so that plates lie in their plane.
+        // Exact values, so that plates lie in their plane.
         let normal = if elevation > 1.5 { Vector3::z() } else { normal };
         Self { centre: normal * distance, normal, up }
     }

@@ -1,4 +1,4 @@
-//! Convex solids: hulls, boxes, and what hides what.
+//! Convex solids: hulls, boxes, and occlusion between them.
 
 use nalgebra::{Point3, Vector3};
 
@@ -14,7 +14,7 @@ pub struct Face {
 }
 
 impl Face {
-    /// Height of `point` above the face's plane, metres; negative inside of it.
+    /// Height of `point` above the face's plane, metres; negative inside the solid.
     pub fn height(&self, point: &Point3<f64>) -> f64 {
         self.normal.dot(&point.coords) - self.offset
     }
@@ -29,7 +29,7 @@ pub struct Solid {
     pub corners: Vec<Point3<f64>>,
 }
 
-/// Points this near to a plane lie on it: bodies are measured, and written down, no finer.
+/// Points this near to a plane count as on it, metres. Bodies are measured no more precisely.
 pub const FLATNESS_M: f64 = 1e-4;
 
 impl Solid {
@@ -45,7 +45,7 @@ impl Solid {
     /// The convex hull of points that do not all lie in one plane. Planes of `known_normals` that
     /// touch the hull from outside become faces first, so that they keep their exact normals.
     ///
-    /// Every triple of points is tried as a face: right for the hundred points that a body has.
+    /// Every triple of points is tried as a face: fast enough for the hundred points of a body.
     pub fn hull(points: Vec<Point3<f64>>, known_normals: &[Vector3<f64>]) -> Self {
         let mut corners: Vec<Point3<f64>> = Vec::new();
         for point in points {
@@ -62,7 +62,7 @@ impl Solid {
             for b in a + 1..count {
                 for c in b + 1..count {
                     let cross = (corners[b] - corners[a]).cross(&(corners[c] - corners[a]));
-                    // Three points nearly in a line say nothing of a plane.
+                    // Three points nearly in a line define no plane.
                     if cross.norm() < 1e-8 {
                         continue;
                     }
@@ -87,16 +87,16 @@ impl Solid {
         Self { faces, corners }
     }
 
-    /// Whether all corners lie in one plane, so that there is no inside.
+    /// Whether all corners lie in one plane, so that the solid has no inside.
     pub fn is_flat(&self) -> bool {
         self.faces
             .iter()
             .any(|face| self.corners.iter().all(|corner| face.height(corner).abs() < FLATNESS_M))
     }
 
-    /// Whether the way from `eye` to `point` goes through the solid before it reaches `point`.
+    /// Whether the line from `eye` to `point` passes through the solid before it reaches `point`.
     pub fn hides(&self, eye: &Point3<f64>, point: &Point3<f64>) -> bool {
-        // Clip the segment against every face (Cyrus and Beck 1978); a face's own points stay seen.
+        // Clip the segment against every face (Cyrus and Beck 1978); points on a face stay visible.
         let (mut enter, mut leave) = (0.0f64, 1.0 - 1e-6f64);
         for face in &self.faces {
             let (from, to) = (face.height(eye), face.height(point));
@@ -113,11 +113,11 @@ impl Solid {
         enter + 1e-6 < leave
     }
 
-    /// Whether this solid can hide a part of `other` from `eye`. It cannot when a face of either
-    /// has the two on different sides, and the eye on the other one's. Solids that no face parts
-    /// are told apart by their distance.
+    /// Whether this solid can hide a part of `other` from `eye`. It cannot if a face of either
+    /// separates the two and the eye is on the side of `other`. If no face separates the solids,
+    /// the nearer one hides the other.
     pub fn is_before(&self, other: &Self, eye: &Point3<f64>) -> bool {
-        // Heights of the eye above the faces of one solid that have the other one outside.
+        // Heights of the eye above those faces of one solid that have the other solid outside.
         let parting = |of: &Self, from: &Self| -> Vec<f64> {
             let outside = |face: &&Face| from.corners.iter().all(|p| face.height(p) > -1e-9);
             of.faces.iter().filter(outside).map(|face| face.height(eye)).collect()
@@ -154,7 +154,7 @@ fn add_face(faces: &mut Vec<Face>, corners: &[Point3<f64>], normal: Vector3<f64>
 /// The corners of the convex polygon round points of one plane, counter-clockwise round `normal`
 /// (Andrew's monotone chain, 1979). Points on its edges are left out.
 fn outline(points: &[Point3<f64>], normal: &Vector3<f64>) -> Vec<Point3<f64>> {
-    // The axis that the normal is farthest from.
+    // The axis with the largest component of the normal.
     let axis = Vector3::ith(normal.iamin(), 1.0);
     let across = normal.cross(&axis).normalize();
     let along = normal.cross(&across);
@@ -180,13 +180,13 @@ fn outline(points: &[Point3<f64>], normal: &Vector3<f64>) -> Vec<Point3<f64>> {
             }
             chain.push(*point);
         }
-        // The last is the other chain's first.
+        // The last point is the first of the other chain.
         chain.pop();
         chain
     };
     let mut corners = chain(&mut sorted.iter());
     corners.extend(chain(&mut sorted.iter().rev()));
-    // By rounding, the chains may end in the middle of an edge.
+    // Because of rounding, a chain may end in the middle of an edge.
     let count = corners.len();
     let is_corner = |k: usize| {
         turns_left(&corners[(k + count - 1) % count], &corners[k], &corners[(k + 1) % count])

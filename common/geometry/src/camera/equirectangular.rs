@@ -20,7 +20,7 @@ pub struct Equirectangular {
 }
 
 impl Equirectangular {
-    /// The ray, in the camera frame, that the point `pixel` sees.
+    /// Ray of the point `pixel`, in the camera frame.
     pub fn ray(&self, pixel: SpherePixel) -> Ray {
         let longitude = (0.5 - (pixel.0.x + 0.5) / f64::from(self.width)) * TAU;
         let latitude = (0.5 - (pixel.0.y + 0.5) / f64::from(self.height)) * PI;
@@ -30,8 +30,8 @@ impl Equirectangular {
         Unit::new_unchecked(Vector3::new(cos_lat * cos_lon, cos_lat * sin_lon, sin_lat))
     }
 
-    /// The point that sees `ray_in_camera`; u lies in [-0.5, W - 0.5). At a pole, where every
-    /// column does, the column is that of the ray's own atan2.
+    /// Point that shows `ray_in_camera`; u lies in [-0.5, W - 0.5). A pole is in every column;
+    /// there the column follows from the ray's own atan2.
     pub fn project(&self, ray_in_camera: &Ray) -> SpherePixel {
         let longitude = ray_in_camera.y.atan2(ray_in_camera.x);
         let across = ray_in_camera.x.hypot(ray_in_camera.y);

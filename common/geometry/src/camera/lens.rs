@@ -11,17 +11,17 @@ use crate::Ray;
 /// A fisheye lens. Its own frame is x right and y down in the image, z along its axis.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Lens {
-    /// Where the lens sits in the camera, and how it is turned; metres.
+    /// Position (metres) and rotation of the lens in the camera.
     pub camera_from_lens: Isometry3<f64>,
-    /// Where its axis meets the image, pixels: also the image circle's middle.
+    /// Point where the axis meets the image, pixels: also the middle of the image circle.
     pub centre_px: Vector2<f64>,
-    /// Radius of the image circle, pixels: what lies beyond it is not the lens' picture.
+    /// Radius of the image circle, pixels. The lens shows nothing beyond it.
     pub circle_px: f64,
-    /// Angle across the field that is used, radians: what lies beyond it is not looked at.
+    /// Angle across the used field, radians. Pixels beyond it are ignored.
     pub field_rad: f64,
     /// Focal lengths along the image's rows and columns, pixels.
     pub focal_px: Vector2<f64>,
-    /// How the distance from the image's centre grows with the angle from the axis.
+    /// Growth of the distance from the image's centre with the angle from the axis.
     pub curve: LensCurve,
 }
 
@@ -51,7 +51,7 @@ pub enum LensCurve {
     },
 }
 
-/// Angles at which a curve is checked to rise.
+/// Number of angles at which a curve is checked to rise.
 const CHECKS: u32 = 512;
 
 impl Lens {
@@ -72,7 +72,7 @@ impl Lens {
         (pixel.0 - self.centre_px).norm() <= self.circle_px
     }
 
-    /// The ray, in the lens' frame, that `pixel` sees; `None` beyond the field or the curve's end.
+    /// Ray of `pixel`, in the lens' frame; `None` beyond the field or the end of the curve.
     pub fn ray(&self, pixel: SpherePixel) -> Option<Ray> {
         let mut plane = (pixel.0 - self.centre_px).component_div(&self.focal_px);
         if let LensCurve::Unified { distortion, .. } = &self.curve {
@@ -84,8 +84,8 @@ impl Lens {
         Some(Unit::new_normalize(Vector3::new(across.x, across.y, angle_cos)))
     }
 
-    /// The point that sees `direction`, in the lens' frame and of any length; `None` outside the
-    /// field and the circle.
+    /// Point that shows `direction` (in the lens' frame, of any length); `None` outside the field
+    /// and the circle.
     pub fn project(&self, direction: &Vector3<f64>) -> Option<SpherePixel> {
         let across = direction.xy();
         let off_axis = across.norm();
@@ -114,7 +114,7 @@ impl Lens {
         }
     }
 
-    /// How far it sits from the camera's middle, metres.
+    /// Distance of the lens from the camera's middle, metres.
     pub fn offset_m(&self) -> f64 {
         self.camera_from_lens.translation.vector.norm()
     }
@@ -123,7 +123,7 @@ impl Lens {
         let number = |what, value: f64, is_allowed: bool, must| {
             if is_allowed { Ok(()) } else { Err(CameraError::Lens { lens, what, value, must }) }
         };
-        // Comparisons with NaN are false, so it is refused too.
+        // Comparisons with NaN are false, so NaN is refused too.
         for focal in [self.focal_px.x, self.focal_px.y] {
             let is_allowed = (1.0..=1e5).contains(&focal);
             number("its focal length in pixels", focal, is_allowed, "between 1 and 100000")?;
@@ -172,7 +172,7 @@ impl LensCurve {
     /// Sine and cosine of the angle off the axis, at most `half_field` radians, whose distance
     /// from the centre is `distance` focal lengths.
     fn undo(&self, distance: f64, half_field: f64) -> Option<(f64, f64)> {
-        // The last angle of the field must come back in spite of rounding.
+        // The last angle of the field must be found in spite of rounding.
         let farthest = half_field * (1.0 + 1e-12);
         match *self {
             Self::Equidistant(_) => {
@@ -222,7 +222,7 @@ impl LensCurve {
         Some(angle)
     }
 
-    /// What the distance grows by for each radian.
+    /// Growth of the distance per radian.
     fn slope(&self, angle: f64) -> f64 {
         match *self {
             Self::Equidistant([k1, k2, k3, k4]) => {
@@ -274,7 +274,7 @@ fn distorted(plane: Vector2<f64>, [k1, k2, p1, p2]: &[f64; 4]) -> Vector2<f64> {
     )
 }
 
-/// The point that [`distorted`] takes to `plane`, by Newton's method; `None` where there is none.
+/// Point that [`distorted`] maps to `plane`, by Newton's method; `None` where there is none.
 fn undistorted(plane: Vector2<f64>, distortion: &[f64; 4]) -> Option<Vector2<f64>> {
     let [k1, k2, p1, p2] = distortion;
     let mut point = plane;
@@ -300,12 +300,12 @@ fn undistorted(plane: Vector2<f64>, distortion: &[f64; 4]) -> Option<Vector2<f64
     ((distorted(point, distortion) - plane).norm() < 1e-12).then_some(point)
 }
 
-/// Refuses lenses that no camera has, and circles that leave the image or run into each other.
+/// Refuses lenses with impossible values, and circles that leave the image or overlap.
 pub(super) fn check_pair(lenses: &[Lens; 2], width: u32, height: u32) -> Result<(), CameraError> {
     for (index, lens) in lenses.iter().enumerate() {
         lens.check(index)?;
         let reaches = |centre: f64, side: u32| {
-            // Half a pixel on either side belongs to the outermost pixels' centres.
+            // The outermost pixels extend half a pixel beyond their centres on either side.
             let (low, high) = (-0.5, f64::from(side) - 0.5);
             centre - lens.circle_px >= low && centre + lens.circle_px <= high
         };

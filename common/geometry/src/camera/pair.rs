@@ -1,24 +1,24 @@
-//! A camera of two lenses, looked at lens by lens.
+//! The two lenses of a camera, one by one.
 
 use nalgebra::Vector3;
 
 use super::{Camera, CameraModel};
 use crate::Ray;
 
-/// What one of two lenses sees.
+/// Ray of one of two lenses.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct LensRay {
-    /// Which lens: 0 looks ahead.
+    /// Index of the lens: 0 looks ahead.
     pub lens: usize,
     /// The direction in the camera's axes, from that lens.
     pub ray: Ray,
-    /// How far it is from the seam, where the other lens' picture begins, radians.
+    /// Angle from the seam, where the picture of the other lens begins, radians.
     pub from_seam_rad: f64,
 }
 
 impl Camera {
-    /// Where the two lenses sit in the camera, metres; `None` for a camera that has one centre by
-    /// its model.
+    /// Positions of the two lenses in the camera, metres; `None` for a camera model with one
+    /// centre.
     pub fn lens_positions(&self) -> Option<[Vector3<f64>; 2]> {
         match &self.model {
             CameraModel::Equirectangular { lens_distance_m } => {
@@ -31,8 +31,8 @@ impl Camera {
         }
     }
 
-    /// What the lens sees that shows `ray_in_camera`, which is right for this camera's distance.
-    /// `None` where no lens shows it, or where the camera has one centre by its model.
+    /// Ray of the lens that shows `ray_in_camera`, exact for this camera's distance. `None` where
+    /// no lens shows it, or for a camera model with one centre.
     pub fn lens_ray(&self, ray_in_camera: &Ray) -> Option<LensRay> {
         let pixel = self.project(ray_in_camera)?;
         match &self.model {

@@ -1,4 +1,4 @@
-//! Where a point is in the sphere image.
+//! Points of the sphere image.
 
 use nalgebra::Vector2;
 

@@ -30,23 +30,23 @@ impl Stereographic {
         }
     }
 
-    /// The ray, in the camera frame, that `pixel` sees; `None` outside the circle.
+    /// Ray of `pixel`, in the camera frame; `None` outside the circle.
     pub fn ray(&self, pixel: SpherePixel) -> Option<Ray> {
         let [u, v] = [pixel.0.x - self.centre_px[0], pixel.0.y - self.centre_px[1]];
         if u.hypot(v) > self.circle_px {
             return None;
         }
-        // The half-angle formulas of c = 2 atan(rho / 2R): no angle is needed.
+        // The half-angle formulas of c = 2 atan(rho / 2R) need no angle.
         let (left, up) = (-u / (2.0 * self.radius_px), -v / (2.0 * self.radius_px));
         let square = left * left + up * up;
         Some(Unit::new_normalize(Vector3::new(1.0 - square, 2.0 * left, 2.0 * up)))
     }
 
-    /// The point that sees `ray_in_camera`; `None` outside the circle.
+    /// Point that shows `ray_in_camera`; `None` outside the circle.
     pub fn project(&self, ray_in_camera: &Ray) -> Option<SpherePixel> {
         let scale = 2.0 * self.radius_px / (1.0 + ray_in_camera.x);
         let (u, v) = (-ray_in_camera.y * scale, -ray_in_camera.z * scale);
-        // Infinite, or not a number, straight behind.
+        // Straight behind, the value is infinite or NaN.
         (u.hypot(v) <= self.circle_px)
             .then(|| SpherePixel::new(u + self.centre_px[0], v + self.centre_px[1]))
     }

@@ -1,21 +1,22 @@
-//! Quantiles of the chi-square distribution: what squared Mahalanobis distances stay below.
+//! Quantiles of the chi-square distribution, as gates for squared Mahalanobis distances.
 
 use statrs::function::gamma::checked_gamma_lr;
 
-/// The value that a chi-square variable stays below with this probability. `degrees` of freedom lie
-/// above 0 and need not be whole: a mean over correlated samples has fewer than it has summands.
+/// Quantile of the chi-square distribution at this probability. `degrees` of freedom are above 0
+/// and need not be whole: a mean over correlated samples has fewer of them than summands.
 ///
-/// Clamped to probabilities of 0 to 1 - 1e-12; numbers that are none give 0.
+/// Probabilities are clamped to 0 to 1 - 1e-12; NaN gives 0.
 pub fn chi_square_quantile(degrees: f64, probability: f64) -> f64 {
     if !(degrees > 0.0 && degrees.is_finite() && probability > 0.0) {
         return 0.0;
     }
     let wanted = probability.min(1.0 - 1e-12);
-    // Its mean is `degrees`, its variance twice that; small ones have long tails.
+    // Start value from the mean, `degrees`, and the variance, twice that. Small degrees have long
+    // tails.
     let (mut low, mut high) = (0.0, degrees + 12.0 * (2.0 * degrees).sqrt() + 80.0);
     for _ in 0..90 {
         let middle = (low + high) / 2.0;
-        // The only error is an argument that is not positive and finite: nothing lies below it.
+        // The only error is an argument that is not positive and finite: the quantile is 0 then.
         let share = checked_gamma_lr(degrees / 2.0, middle / 2.0).unwrap_or(0.0);
         if share < wanted {
             low = middle;
@@ -26,7 +27,7 @@ pub fn chi_square_quantile(degrees: f64, probability: f64) -> f64 {
     high
 }
 
-/// The squared distance that a right measurement of 6 degrees of freedom stays below with this
+/// Gate of the squared distance for 6 degrees of freedom: a right measurement passes with this
 /// probability. 0.999 gives 22.46.
 pub fn chi_square_gate(probability: f64) -> f64 {
     chi_square_quantile(6.0, probability)

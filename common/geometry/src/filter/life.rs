@@ -1,4 +1,4 @@
-//! The life of a track: when a neighbour is believed, and when it is given up.
+//! The life of a track: when it is confirmed, and when it is lost.
 
 use std::cmp::Ordering;
 use std::collections::VecDeque;
@@ -11,85 +11,85 @@ use crate::pose::PoseEstimate;
 
 use super::{FilterError, MotionEstimate, MotionModel, check, chi_square_gate};
 
-/// Where a track is in its life.
+/// State of a track in its life.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum TrackState {
-    /// Seen too few times to be believed.
+    /// Measured too few times to be confirmed.
     Tentative,
-    /// Believed, and measured in the last frame.
+    /// Confirmed, and measured in the last frame.
     Confirmed,
-    /// Believed, but not measured in the last frame.
+    /// Confirmed, but not measured in the last frame.
     Coasting,
-    /// The target was not seen for too long.
+    /// Without a measurement for too long.
     Lost,
 }
 
-/// Frames among which the measurements are counted that confirm a track, at most 64.
+/// Number of frames among which the confirming measurements are counted, at most 64.
 pub const CONFIRM_WINDOW: u32 = 5;
-/// Frames that come at most this much later than newer ones are put where they belong, seconds.
+/// Largest delay of a frame after newer ones with which it is still sorted in, seconds.
 pub const HISTORY_S: f64 = 0.5;
 /// Probability that a right measurement passes the gate.
 pub const GATE_PROBABILITY: f64 = 0.999;
-/// Number of measurements in a row outside the gate after which the track counts as wrong and
-/// begins anew from the last of them. A tentative track begins anew from the first.
+/// Number of measurements in a row outside the gate after which the track is wrong and starts anew
+/// from the last of them. A tentative track begins anew from the first.
 pub const RESTART_AFTER_GATED: u32 = 3;
 
 /// The largest squared distance of a measurement that passes the gate.
 static GATE: LazyLock<f64> = LazyLock::new(|| chi_square_gate(GATE_PROBABILITY));
 
-/// When a track is believed and when it is given up.
+/// Conditions under which a track is confirmed and lost.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TrackPolicy {
-    /// How the neighbour is thought to move.
+    /// Motion model of the neighbour.
     pub motion: MotionModel,
-    /// Measurements taken in that confirm a track, the first included, among [`CONFIRM_WINDOW`]
-    /// frames.
+    /// Number of accepted measurements that confirm a track, the first included, among
+    /// [`CONFIRM_WINDOW`] frames.
     pub confirm_hits: u32,
-    /// A confirmed track is lost when it was not seen for longer than this, seconds.
+    /// Longest time without a measurement before a confirmed track is lost, seconds.
     pub coast_s: f64,
 }
 
 impl Default for TrackPolicy {
-    /// What pipeline.yaml has by default.
+    /// The defaults of pipeline.yaml.
     fn default() -> Self {
         Self { motion: MotionModel::default(), confirm_hits: 2, coast_s: 1.0 }
     }
 }
 
-/// What became of a measurement.
+/// Effect of a measurement.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Happened {
-    /// The measurement began a track where there was none, or a lost one.
+    /// The measurement started a track where there was none, or a lost one.
     Started,
     /// The measurement updated the track.
     Updated,
-    /// The measurement lay outside the gate. The target counts as not seen.
+    /// The measurement lay outside the gate. The target counts as not seen in this frame.
     Gated,
-    /// The measurement contradicted the track, or the clock jumped back: the track began anew from
-    /// it.
+    /// The measurement contradicted the track, or the clock jumped back: the track started anew
+    /// from it.
     Restarted,
 }
 
 /// The track of one neighbour and its state. Call [`LifeCycle::measured`] or
 /// [`LifeCycle::unseen`] once for each frame.
 ///
-/// Frames may come late and in any order: what they said is kept for [`HISTORY_S`],
-/// with the state after each, and whatever lies after a late one is filtered anew. So within the
-/// history the order of arrival does not matter.
+/// Frames may come late and in any order. Their results are kept for [`HISTORY_S`], with the state
+/// after each. After a late frame, all later results are filtered anew. So within the history the
+/// order of arrival does not matter.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LifeCycle {
     pub(super) policy: TrackPolicy,
-    /// The state before the first event that is kept.
+    /// State before the first event of the history.
     pub(super) base: Option<Life>,
-    /// By time; the newest is always there once there was one.
+    /// Events by time. After the first event, the newest is always kept.
     pub(super) events: VecDeque<HistoryEntry>,
 }
 
-/// What a frame said, and the state after it.
+/// Result of a frame, and the state after it.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct HistoryEntry {
     pub(super) stamp_s: f64,
-    /// `None`: it did not see the neighbour.
+    /// `None` if the frame did not show the neighbour.
     pub(super) measured: Option<PoseEstimate>,
     pub(super) after: Option<Life>,
 }
@@ -98,19 +98,19 @@ pub(super) struct HistoryEntry {
 pub(super) struct Life {
     pub(super) track: MotionEstimate,
     state: TrackState,
-    /// One bit for each frame, the newest lowest: 1 where a measurement was taken in.
+    /// One bit for each frame, the newest lowest: 1 for an accepted measurement.
     hits: u64,
     gated_in_a_row: u32,
     pub(super) started_s: f64,
 }
 
 impl LifeCycle {
-    /// Nothing was seen of the neighbour yet.
+    /// Creates a life without any measurement.
     pub fn new(policy: TrackPolicy) -> Self {
         Self { policy, base: None, events: VecDeque::new() }
     }
 
-    /// Where the track is in its life; `None` before the first measurement.
+    /// State of the track; `None` before the first measurement.
     pub fn state(&self) -> Option<TrackState> {
         self.life().map(|life| life.state)
     }
@@ -120,19 +120,19 @@ impl LifeCycle {
         self.life().and_then(Life::alive)
     }
 
-    /// When the track's first measurement was exposed, seconds.
+    /// Exposure time of the track's first measurement, seconds.
     pub fn started_s(&self) -> Option<f64> {
         self.life().map(|life| life.started_s)
     }
 
-    /// When its last measurement taken in was exposed, seconds; also of a lost track.
+    /// Exposure time of the last accepted measurement, seconds; also of a lost track.
     pub fn last_seen_s(&self) -> Option<f64> {
         self.life().map(|life| life.track.stamp_s)
     }
 
-    /// Where the neighbour will be at `at_s`, or, for a time within the history, where it was as
-    /// far as the frames up to then say. `None` while there is no live track, or if the filter
-    /// knows nothing of that time.
+    /// Predicts the neighbour at `at_s`. For a time within the history, returns its state then,
+    /// from the frames up to that time. `None` without a live track, or if the filter has no result
+    /// for that time.
     pub fn predict(&self, at_s: f64, ego: &EgoRotation) -> Option<MotionEstimate> {
         let track = self.track()?;
         if at_s >= track.stamp_s {
@@ -142,11 +142,11 @@ impl LifeCycle {
         self.life_before(until_then)?.alive()?.predict(at_s, &self.policy.motion, ego).ok()
     }
 
-    /// A frame exposed at `stamp_s` in which the neighbour's pose was measured.
-    /// It takes the place of a word that the same frame had not seen it.
+    /// Handles a frame exposed at `stamp_s` with a measured pose of the neighbour. It replaces an
+    /// earlier result of the same frame without a measurement.
     ///
-    /// A frame from before the history is refused, unless it is from so long before (`coast_s`)
-    /// that the clock itself must have jumped: then the track begins anew.
+    /// A frame from before the history is refused. If it is earlier by more than `coast_s`, the
+    /// clock must have jumped, so the track starts anew.
     ///
     /// # Errors
     /// An unusable measurement ([`FilterError::Unusable`]) or one from too long ago
@@ -157,7 +157,7 @@ impl LifeCycle {
         measured: &PoseEstimate,
         ego: &EgoRotation,
     ) -> Result<Happened, FilterError> {
-        // What cannot begin a track is no measurement.
+        // A measurement must be good enough to start a track.
         check(stamp_s, measured)?;
         let mut jumped = false;
         if let Some(newest_s) = self.too_late(stamp_s) {
@@ -173,7 +173,7 @@ impl LifeCycle {
         Ok(if jumped { Happened::Restarted } else { happened })
     }
 
-    /// Whether a measurement of `stamp_s` would update the track: it lies inside the gate.
+    /// Whether a measurement at `stamp_s` would update the track because it lies inside the gate.
     pub fn fits(&self, stamp_s: f64, measured: &PoseEstimate, ego: &EgoRotation) -> bool {
         if self.too_late(stamp_s).is_some() {
             return false;
@@ -183,13 +183,13 @@ impl LifeCycle {
         happened == Ok(Happened::Updated)
     }
 
-    /// A frame exposed at `stamp_s` in which nothing was measured of the neighbour although all
-    /// that was to be searched was. Returns the state after all frames so far. A frame from before
-    /// the history, and one that something was measured in, changes nothing.
+    /// Handles a frame exposed at `stamp_s` without a measurement of the neighbour, although all
+    /// planned views were searched. Returns the state after all frames so far. A frame from before
+    /// the history changes nothing, nor does one that already has a measurement.
     pub fn unseen(&mut self, stamp_s: f64, ego: &EgoRotation) -> Option<TrackState> {
         if let Some(newest_s) = self.too_late(stamp_s) {
             if self.is_jump(newest_s - stamp_s) {
-                // A clock that jumped back leaves a track that means nothing.
+                // After a clock jump back, the track is meaningless.
                 let mut life = self.life().cloned();
                 if let Some(life) = &mut life {
                     life.state = TrackState::Lost;
@@ -205,7 +205,7 @@ impl LifeCycle {
         self.state()
     }
 
-    /// Filters anew what was seen from `since_s` on: how the camera turned since then is known
+    /// Filters anew all events from `since_s` on, because the camera's rotation since then is known
     /// better now.
     pub fn refilter(&mut self, since_s: f64, ego: &EgoRotation) {
         let first = self.events.partition_point(|event| event.stamp_s < since_s);
@@ -222,7 +222,7 @@ impl LifeCycle {
         }
     }
 
-    /// Forgets the neighbour, as when the source begins anew.
+    /// Forgets the neighbour, for example when the source starts anew.
     pub fn forget(&mut self) {
         self.base = None;
         self.events.clear();
@@ -239,18 +239,18 @@ impl LifeCycle {
         }
     }
 
-    /// The newest event's time, if `stamp_s` lies so far before it that nothing is kept of then.
+    /// The newest event's time, if `stamp_s` lies before the history.
     fn too_late(&self, stamp_s: f64) -> Option<f64> {
         let newest_s = self.events.back()?.stamp_s;
         (stamp_s < newest_s - HISTORY_S).then_some(newest_s)
     }
 
-    /// Whether a frame that comes so late shows that the clock has jumped.
+    /// Whether a frame this late proves that the clock has jumped.
     fn is_jump(&self, late_s: f64) -> bool {
         late_s > self.policy.coast_s.max(HISTORY_S)
     }
 
-    /// An event and its place, with the state before it.
+    /// An event and its index, with the state before it.
     fn placed(&self, stamp_s: f64, measured: Option<PoseEstimate>) -> (usize, HistoryEntry) {
         let mut event = HistoryEntry { stamp_s, measured, after: None };
         let place = self.events.partition_point(|other| other.is_before(&event));
@@ -258,7 +258,7 @@ impl LifeCycle {
         (place, event)
     }
 
-    /// Keeps an event, filters anew what lies after it, and lets go of what is too old.
+    /// Inserts an event, filters all later ones anew, and removes those that are too old.
     fn insert(&mut self, place: usize, event: HistoryEntry, ego: &EgoRotation) {
         let stamp_s = event.stamp_s;
         let is_measured = event.measured.is_some();
@@ -277,17 +277,17 @@ impl LifeCycle {
 }
 
 impl HistoryEntry {
-    /// Events of one time have an order too, so that it does not matter which came first.
+    /// Events of one time have an order too, so that the order of arrival does not matter.
     fn is_before(&self, other: &Self) -> bool {
         let by_measurement = || match (&self.measured, &other.measured) {
             (Some(measured), Some(other)) => order(measured, other),
-            // Measured first.
+            // Events with a measurement come first.
             (measured, other) => other.is_some().cmp(&measured.is_some()),
         };
         self.stamp_s.total_cmp(&other.stamp_s).then_with(by_measurement).is_lt()
     }
 
-    /// Moves the state in `after` on. A measurement that cannot be taken in leaves it as it was.
+    /// Advances the state in `after`. A refused measurement leaves it unchanged.
     fn step(&mut self, policy: &TrackPolicy, ego: &EgoRotation) {
         if let Some(measured) = &self.measured {
             let _ = Life::measured(&mut self.after, self.stamp_s, measured, policy, ego);
@@ -297,7 +297,7 @@ impl HistoryEntry {
     }
 }
 
-/// Any order that is always the same.
+/// An arbitrary but fixed order.
 fn order(one: &PoseEstimate, other: &PoseEstimate) -> Ordering {
     let numbers = |measured: &PoseEstimate| -> Vec<f64> {
         let pose = &measured.camera_from_markers;
@@ -316,12 +316,12 @@ impl Life {
         life
     }
 
-    /// The filter of a life that is not over.
+    /// The filter of a life that is not lost.
     fn alive(&self) -> Option<&MotionEstimate> {
         (self.state != TrackState::Lost).then_some(&self.track)
     }
 
-    /// Takes in what was measured at `stamp_s`.
+    /// Handles a measurement at `stamp_s`.
     fn measured(
         life: &mut Option<Self>,
         stamp_s: f64,
@@ -358,7 +358,7 @@ impl Life {
         }
     }
 
-    /// A frame that does not show it.
+    /// Handles a frame without a measurement.
     fn unseen(&mut self, stamp_s: f64, policy: &TrackPolicy) {
         if stamp_s - self.track.stamp_s <= policy.coast_s {
             self.count(false, policy);
@@ -367,7 +367,7 @@ impl Life {
         }
     }
 
-    /// Counts a frame and moves the state on.
+    /// Counts a frame and updates the state.
     fn count(&mut self, hit: bool, policy: &TrackPolicy) {
         self.hits = (self.hits << 1 | u64::from(hit)) & (u64::MAX >> (64 - CONFIRM_WINDOW));
         let hits = self.hits.count_ones();

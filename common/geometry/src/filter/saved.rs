@@ -1,4 +1,4 @@
-//! Tracks that another process goes on with.
+//! Tracks that another process continues.
 
 use serde::{Deserialize, Serialize};
 
@@ -7,13 +7,13 @@ use super::{FilterError, check};
 use crate::ego_rotation::EgoRotation;
 use crate::pose::PoseEstimate;
 
-/// A track with its history, as a process leaves it to its successor. The successor filters the
-/// history anew, by its own policy.
+/// A track with its history, from a process for its successor. The successor filters the history
+/// anew with its own policy.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct SavedLife {
     /// The state before the history.
     base: Option<Life>,
-    /// What each frame of the history said, by time, seconds.
+    /// Result of each frame of the history, with its time, seconds.
     said: Vec<(f64, Option<PoseEstimate>)>,
 }
 
@@ -26,7 +26,7 @@ impl LifeCycle {
         }
     }
 
-    /// Goes on with a track of another process, seen by a camera that turned as `ego` says.
+    /// Continues a track of another process. `ego` is the rotation of the camera.
     ///
     /// # Errors
     /// [`FilterError::Unusable`]; nothing changes then.

@@ -1,66 +1,66 @@
 //! Bias, mounting and time offset of an inertial sensor, by comparison with the picture.
 //!
-//! The camera's angular velocity is w(t) = exp(m) w_s(t - o) - b. Here w_s is what the sensor says
-//! in its configured mounting, m the mounting's error as a rotation vector, o the time offset, and
-//! b the bias. The mean rate that the picture shows between two frames measures all seven numbers.
-//! A Kalman filter takes it in (Mirzaei and Roumeliotis, IEEE Trans. Robotics 24, 2008; for the
-//! offset Li and Mourikis, IJRR 33, 2014).
+//! The camera's angular velocity is w(t) = exp(m) w_s(t - o) - b. Here w_s is the sensor's rate in
+//! its configured mounting, m the mounting's error as a rotation vector, o the time offset, and b
+//! the bias. The mean rate from the picture between two frames measures all seven numbers. A Kalman
+//! filter estimates them (Mirzaei and Roumeliotis, IEEE Trans. Robotics 24, 2008; for the offset Li
+//! and Mourikis, IJRR 33, 2014).
 
 use nalgebra::{Matrix3, SMatrix, SVector, UnitQuaternion, Vector3};
 
 use super::record::RateRecord;
 use crate::ego_rotation::Turned;
 
-/// Standard deviations before anything was compared: bias of a sensor of this class (rad/s: 3
-/// degrees/s), mounting by hand or by calibration (2 degrees), time offset (10 ms).
+/// Initial standard deviations: bias of a sensor of this class (rad/s: 3 degrees/s), mounting by
+/// hand or by calibration (2 degrees), time offset (10 ms).
 const FIRST_BIAS: f64 = 0.052;
 const FIRST_MOUNTING: f64 = 0.035;
 const FIRST_OFFSET_S: f64 = 0.01;
 
-/// How fast the bias wanders: 0.05 degrees/s in a second, 0.4 in a minute.
+/// Random walk of the bias: 0.05 degrees/s in a second, 0.4 in a minute.
 const BIAS_WALK: f64 = 8.7e-4;
 
-/// How fast the time offset wanders: 0.2 ms in a second. An autopilot's clock is mapped by the
-/// least delay of the last seconds, which steps by fractions of a millisecond.
+/// Random walk of the time offset: 0.2 ms in a second. An autopilot's clock is mapped by the least
+/// delay of the last seconds, which steps by fractions of a millisecond.
 const OFFSET_WALK: f64 = 2e-4;
 
-/// Scale and cross-axis errors, as a share of the rate. Data sheets of such sensors say 0.5 % and 1
-/// % at most.
+/// Scale and cross-axis errors, as a share of the rate. Data sheets of such sensors state 0.5 % and
+/// 1 % at most.
 const SCALE_ERROR: f64 = 0.003;
 
 /// Bias, rotation vector of the mounting, and time offset.
 pub type Vector7 = SVector<f64, 7>;
 /// Covariance of a [`Vector7`].
 pub type Matrix7 = SMatrix<f64, 7, 7>;
-/// How a rotation vector changes with a [`Vector7`].
+/// Derivative of a rotation vector by a [`Vector7`].
 pub type Matrix3x7 = SMatrix<f64, 3, 7>;
 
-/// What is wrong with a sensor, and how certain that is.
+/// Errors of a sensor, with their covariance.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SensorErrors {
     /// Bias of the rate, along the camera's axes, rad/s.
     pub bias: Vector3<f64>,
-    /// Turns the configured sensor's axes into the true ones.
+    /// Rotates the configured sensor's axes into the true ones.
     mounting: UnitQuaternion<f64>,
-    /// To be added to the sensor's time, seconds.
+    /// Offset to add to the sensor's time, seconds.
     offset_s: f64,
     /// Covariance of bias, rotation vector of the mounting, and time offset.
     covariance: Matrix7,
 }
 
-/// A rotation by the sensor, with its errors taken out.
+/// A rotation from the sensor, corrected for its errors.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Corrected {
     /// The camera's rotation between the two times.
     pub turned: Turned,
-    /// What the samples' noise and scale leave about each axis, rad^2.
+    /// Variance from the samples' noise and scale about each axis, rad^2.
     rest_variance: f64,
-    /// How the rotation vector changes with the errors.
+    /// Derivative of the rotation vector by the errors.
     by_errors: Matrix3x7,
 }
 
 impl SensorErrors {
-    /// Nothing was compared yet.
+    /// Creates the errors before any comparison.
     #[expect(clippy::new_without_default, reason = "the first errors are no plain zeros")]
     pub fn new() -> Self {
         let deviations = [FIRST_BIAS, FIRST_MOUNTING, FIRST_OFFSET_S];
@@ -73,7 +73,7 @@ impl SensorErrors {
         }
     }
 
-    /// The sensor's clock has begun anew: its offset is as uncertain as at first.
+    /// Handles a new start of the sensor's clock: the offset is as uncertain as at first.
     pub fn begin_clock(&mut self) {
         self.covariance.row_mut(6).fill(0.0);
         self.covariance.column_mut(6).fill(0.0);
@@ -85,8 +85,8 @@ impl SensorErrors {
         sensor_s + self.offset_s
     }
 
-    /// The rotation of the camera between two of its times, with the sensor's errors taken out.
-    /// `None` where samples are missing.
+    /// Rotation of the camera between two of its times, corrected for the sensor's errors. `None`
+    /// where samples are missing.
     pub fn turned(&self, record: &RateRecord, earlier_s: f64, later_s: f64) -> Option<Corrected> {
         let correct = |rate: Vector3<f64>| self.mounting * rate - self.bias;
         let (from_s, to_s) = (earlier_s - self.offset_s, later_s - self.offset_s);
@@ -113,14 +113,16 @@ impl SensorErrors {
         let (rate, noise_variance) = record.rate_around(at_s - self.offset_s, width_s)?;
         let turned = self.mounting * rate;
         let scale = (SCALE_ERROR * turned.norm()).powi(2);
-        // The time offset is left out: by the picture it is known to a millisecond soon.
+        // The uncertainty of the time offset is left out, because the picture soon determines it to
+        // a millisecond.
         let by_errors = by_errors(&turned, 1.0, &Vector3::zeros());
         let covariance = by_errors * self.covariance * by_errors.transpose()
             + Matrix3::from_diagonal_element(noise_variance + scale);
         Some((turned - self.bias, covariance))
     }
 
-    /// Takes in what the picture shows over `step_s` seconds, where the sensor says `corrected`.
+    /// Updates the errors with the picture's rotation over `step_s` seconds and the sensor's,
+    /// `corrected`.
     pub fn compare(&mut self, corrected: &Corrected, picture: &Turned, step_s: f64) {
         let walk = BIAS_WALK * BIAS_WALK * step_s;
         (0..3).for_each(|k| self.covariance[(k, k)] += walk);
@@ -138,7 +140,7 @@ impl SensorErrors {
         self.apply(&change);
     }
 
-    /// Changes the errors by a step of bias, mounting and offset.
+    /// Adds a step of bias, mounting and offset to the errors.
     pub(super) fn apply(&mut self, change: &Vector7) {
         self.bias += change.fixed_rows::<3>(0);
         let turned: Vector3<f64> = change.fixed_rows::<3>(3).into();
@@ -148,24 +150,24 @@ impl SensorErrors {
 }
 
 impl Corrected {
-    /// The camera's rotation vector by the picture, less that by the sensor, radians.
+    /// The camera's rotation vector from the picture, less that from the sensor, radians.
     pub fn off(&self, picture: &Turned) -> Vector3<f64> {
         self.turned.later_from_earlier.scaled_axis() - picture.later_from_earlier.scaled_axis()
     }
 
-    /// How far the sensor is from the picture, as a squared Mahalanobis distance: chi-square of 3
-    /// degrees of freedom where both are right. `None` where the covariances are none.
+    /// Squared Mahalanobis distance between sensor and picture: chi-square with 3 degrees of
+    /// freedom if both are right. `None` where a matrix is no covariance.
     pub fn distance(&self, picture: &Turned) -> Option<f64> {
         let off = self.off(picture);
         let spread = (self.turned.covariance + picture.covariance).cholesky()?;
         Some(off.dot(&spread.solve(&off)))
     }
 
-    /// The rotation by both, each by its covariance. `None` where the covariances are none.
+    /// Rotation from both, weighted by their covariances. `None` where a matrix is no covariance.
     pub fn with(&self, picture: &Turned) -> Option<Turned> {
         let sensor = &self.turned;
         let spread = (sensor.covariance + picture.covariance).cholesky()?;
-        // Directions turn the other way than the camera.
+        // Directions rotate opposite to the camera.
         let camera = -sensor.later_from_earlier.scaled_axis()
             + sensor.covariance * spread.solve(&self.off(picture));
         let covariance = sensor.covariance * spread.solve(&picture.covariance);
@@ -176,8 +178,8 @@ impl Corrected {
     }
 }
 
-/// How a rotation vector by the sensor changes with bias, mounting and time offset: `turned` over
-/// `step_s`, the rate changing by `change` meanwhile.
+/// Derivative of a sensor's rotation vector by bias, mounting and time offset: `turned` over
+/// `step_s`, with `change` of the rate meanwhile.
 pub fn by_errors(turned: &Vector3<f64>, step_s: f64, change: &Vector3<f64>) -> Matrix3x7 {
     let mut by_errors = Matrix3x7::zeros();
     by_errors.fixed_view_mut::<3, 3>(0, 0).copy_from(&Matrix3::from_diagonal_element(-step_s));
@@ -193,7 +195,7 @@ mod tests {
     use crate::fixtures::flight::{flown, rate};
     use crate::inertial::record::RateSample;
 
-    /// What a sensor with these errors says.
+    /// Rotation vector of a sensor with these errors.
     fn record(bias: Vector3<f64>, mounting: Vector3<f64>, offset_s: f64) -> RateRecord {
         let mut record = RateRecord::new(100.0);
         let turned = UnitQuaternion::from_scaled_axis(mounting).inverse();

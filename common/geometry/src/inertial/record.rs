@@ -4,25 +4,25 @@ use std::collections::VecDeque;
 
 use nalgebra::{UnitQuaternion, Vector3};
 
-/// Samples that are farther apart leave a gap in which the rotation is not known, seconds.
+/// Largest distance between samples, seconds. In a longer gap the rotation is not known.
 const LONGEST_GAP_S: f64 = 0.03;
 
-/// Time after the newest sample for which its rate still holds, seconds: one sample at 100 Hz.
+/// Time after the newest sample for which its rate still applies, seconds: one sample at 100 Hz.
 const HOLD_S: f64 = 0.01;
 
-/// A sample that is earlier than the newest by more is of a clock that has jumped, seconds.
+/// Step back of a sample's time that proves a clock jump, seconds.
 const LEAP_S: f64 = 1.0;
 
-/// Most samples that are kept: a quarter of an hour at 1 kHz.
+/// Most stored samples: a quarter of an hour at 1 kHz.
 const MOST_SAMPLES: usize = 1_000_000;
 
-/// Number of newest samples from which their noise is estimated.
+/// Number of newest samples for the estimate of their noise.
 const NOISE_SAMPLES: usize = 100;
 
 /// One sample of an inertial sensor.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RateSample {
-    /// When it was taken, seconds.
+    /// Time of the sample, seconds.
     pub at_s: f64,
     /// Angular velocity, rad/s.
     pub rate: Vector3<f64>,
@@ -41,8 +41,8 @@ impl RateRecord {
         Self { keep_s, samples: VecDeque::new() }
     }
 
-    /// Takes in the next sample. One that is not later than the last one is left out; one that is
-    /// earlier by far says that the clock has jumped, and all begins anew.
+    /// Adds the next sample. A sample not later than the last one is left out. A far earlier one
+    /// proves that the clock has jumped, so the record starts anew.
     pub fn push(&mut self, sample: RateSample) {
         if self.samples.back().is_some_and(|last| sample.at_s < last.at_s - LEAP_S) {
             self.samples.clear();
@@ -69,10 +69,10 @@ impl RateRecord {
         self.samples.back().map(|sample| sample.at_s)
     }
 
-    /// The rotation from one time to a later one, where samples are corrected by `correct`, and the
-    /// variance about each axis that their white noise leaves, rad^2. The rotation turns directions
-    /// in the sensor's frame of the earlier time into that of the later one. `None` where samples
-    /// are missing: before the first, long after the last, in a gap between.
+    /// Rotation from one time to a later one, with samples corrected by `correct`, and the variance
+    /// about each axis from their white noise, rad^2. It rotates directions from the sensor's frame
+    /// at the earlier time into that at the later one. `None` where samples are missing: before the
+    /// first, long after the last, in a gap between.
     pub fn turned(
         &self,
         earlier_s: f64,
@@ -131,7 +131,7 @@ impl RateRecord {
         is_whole.then_some(points)
     }
 
-    /// The angular velocity at a time, between samples in proportion.
+    /// Angular velocity at a time, interpolated between samples.
     pub fn rate_at(&self, at_s: f64) -> Option<Vector3<f64>> {
         let after = self.index_after(at_s);
         match (after.checked_sub(1).and_then(|k| self.samples.get(k)), self.samples.get(after)) {
@@ -144,8 +144,8 @@ impl RateRecord {
         }
     }
 
-    /// Standard deviation of one sample's white noise about an axis, rad/s: from the second
-    /// differences of the newest samples, which motion hardly enters.
+    /// Standard deviation of one sample's white noise about an axis, rad/s. It follows from the
+    /// second differences of the newest samples, on which motion has little effect.
     pub fn white_noise(&self) -> f64 {
         let newest = self.samples.range(self.samples.len().saturating_sub(NOISE_SAMPLES)..);
         let rates: Vec<Vector3<f64>> = newest.map(|sample| sample.rate).collect();
@@ -171,8 +171,8 @@ impl RateRecord {
     }
 }
 
-/// The rotation along samples, from one to the next at their mean rate: from directions in the
-/// first one's frame to those in the last one's.
+/// Rotation along samples, from one to the next at their mean rate. It maps directions from the
+/// first sample's frame to the last one's.
 fn integrated(
     points: &[RateSample],
     correct: impl Fn(Vector3<f64>) -> Vector3<f64>,

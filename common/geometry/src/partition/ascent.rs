@@ -2,16 +2,15 @@
 //! as shallow as it gets.
 //!
 //! The holes are the facets of the convex hull. With c_f the cosine of facet f's circumradius, the
-//! smallest c_f is to become as large as possible. This is Huard's method of centres: for a level t
-//! below all c_f the sum of 1/(c_f - t) is made smaller by Newton's method, and t follows the
-//! smallest c_f ever closer. Only sums, products and square roots are taken, which every machine
-//! rounds alike.
+//! ascent maximises the smallest c_f. This is Huard's method of centres: for a level t below all
+//! c_f the sum of 1/(c_f - t) is made smaller by Newton's method, and t follows the smallest c_f
+//! ever closer. Only sums, products and square roots are taken, which every machine rounds alike.
 
 use nalgebra::{Matrix3, Vector3};
 
 use super::hull::{Triangle, covering_cosine, hull};
 
-/// How much closer the level comes to the deepest hole with each step.
+/// Factor by which the gap between the level and the deepest hole shrinks in each step.
 const SHRINK: f64 = 0.8;
 
 /// Directions on their way to a covering.
@@ -23,19 +22,19 @@ pub(super) struct Ascent {
 }
 
 impl Ascent {
-    /// Begins at `points`; `None` where they have no hull.
+    /// Starts at `points`; `None` where they have no hull.
     pub(super) fn new(points: Vec<Vector3<f64>>) -> Option<Self> {
         let facets = hull(&points)?;
         Some(Self { points, facets, damping: 1e-3 })
     }
 
-    /// Cosine of the covering radius reached.
+    /// Cosine of the present covering radius.
     pub(super) fn cosine(&self) -> f64 {
         covering_cosine(&self.facets)
     }
 
-    /// Moves each direction to the mean of the holes round it, deep ones counting more: not an
-    /// ascent, but it leads from anywhere to even directions.
+    /// Moves each direction to the mean of the holes around it, weighted by their depth. It is no
+    /// ascent, but leads from any start to even directions.
     pub(super) fn relax(&mut self, rounds: usize) {
         for _ in 0..rounds {
             let mut sums = vec![Vector3::zeros(); self.points.len()];
@@ -51,7 +50,8 @@ impl Ascent {
         }
     }
 
-    /// Ascends, the level at first `first_gap` below the deepest hole's cosine, at last `last_gap`.
+    /// Ascends with the level `first_gap` below the deepest hole's cosine at first, `last_gap` at
+    /// last.
     pub(super) fn go_on(&mut self, first_gap: f64, last_gap: f64) {
         let mut gap = first_gap;
         while gap > last_gap {
@@ -60,8 +60,8 @@ impl Ascent {
         }
     }
 
-    /// One damped Newton step for the level `gap` below the deepest hole's cosine; stays where no
-    /// step helps.
+    /// One damped Newton step for the level `gap` below the deepest hole's cosine. If no step
+    /// helps, nothing changes.
     fn step(&mut self, gap: f64) {
         let level = self.cosine() - gap;
         let frames: Vec<_> = self.points.iter().map(tangents).collect();

@@ -1,26 +1,27 @@
 //! The covering method: the smallest circles that leave no gap.
 //!
-//! Many random starts, each brought to its local optimum by [`Ascent`]; then the best one is
-//! disturbed again and again (one to three directions are put elsewhere), and the better result
-//! kept. The numbers of attempts depend on N alone, never on time, and every operation is rounded
-//! alike on every machine: a seed means one partition.
+//! [`Ascent`] brings many random starts to their local optimum. Then the best one is disturbed
+//! repeatedly (one to three directions move elsewhere), and the better result is kept. The numbers
+//! of attempts depend on N alone, never on time, and every operation is rounded alike on every
+//! machine. So a seed always gives the same partition.
 
 use nalgebra::Vector3;
 
 use super::ascent::Ascent;
 use crate::random::Chance;
 
-/// `count` directions whose covering radius is, as far as is known, the smallest there is.
+/// Finds `count` directions with the smallest known covering radius.
 pub(super) fn directions(count: usize, seed: u64) -> Vec<Vector3<f64>> {
-    // Enough to repeat the same optimum from other seeds for up to 32 directions. Beyond, where an
-    // attempt takes longer, as much as a start of the pipeline can wait for.
+    // Enough attempts to reach the same optimum from other seeds for up to 32 directions. For more
+    // directions an attempt takes longer, so their number follows from the acceptable time of a
+    // start.
     let attempts: usize = if count <= 32 { 1_200 } else { (200_000 / (count * count)).max(16) };
     let starts = attempts as u64 / 4;
     let mut best: Option<Ascent> = None;
     for start in 0..starts {
         let mut random = Chance::stream(seed, start);
         let points = (0..count).map(|_| random.portable_direction()).collect();
-        // Small numbers are found rather without relaxation, large ones only with it.
+        // Small numbers of directions are best found without relaxation, large ones only with it.
         let attempt = if start % 4 == 0 { climb(points, 0, 1.0) } else { climb(points, 30, 0.1) };
         keep_better(&mut best, attempt);
     }

@@ -9,16 +9,16 @@ pub struct Terms {
     pub count: f64,
     /// p / (h w) = N theta^2 / (360 degrees)^2: pixels of all circles, in sphere images.
     ///
-    /// The paper prints the fraction upside down. Its p would grow as circles shrink, and have no
-    /// minimum at N = 12, which its own figure shows.
+    /// The paper prints the fraction upside down. Its p would grow as circles shrink, without the
+    /// minimum at N = 12 that its own figure shows.
     pub pixels: f64,
-    /// d = 1 / cos^2(theta / 2): how much more a pinhole view stretches the circle's rim than its
-    /// middle, along the radius (across it, it is the root of that).
+    /// d = 1 / cos^2(theta / 2): stretch of the circle's rim along the radius in a pinhole view,
+    /// relative to its middle. The stretch across the radius is the root of that.
     pub stretch: f64,
 }
 
 impl Terms {
-    /// A criterion for `count` circles of a diameter, radians.
+    /// Terms for `count` circles of this diameter, radians.
     pub fn new(count: usize, diameter_rad: f64) -> Self {
         Self {
             count: count as f64,
@@ -34,9 +34,9 @@ impl Terms {
 
 /// The criterion with its normalisation.
 ///
-/// N counts views, p images, d is a ratio: weights that sum to one mean something only for terms of
-/// one range. So each term is 0 at its least and 1 at its greatest among the coverings by 4 to 32
-/// circles, always these, so that a partition's cost does not depend on what it is listed with.
+/// N counts views, p images, d is a ratio. Weights that sum to one need terms of one range. So each
+/// term is 0 at its least and 1 at its greatest among the coverings by 4 to 32 circles. The range
+/// is fixed, so that a partition's cost does not depend on the other candidates.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Criterion {
     weights: [f64; 3],
@@ -46,13 +46,13 @@ pub struct Criterion {
 
 impl Criterion {
     /// The criterion with the weights alpha1, alpha2 and alpha3 of the number of views, their
-    /// pixels and their distortion. The paper demands positive weights that sum to one (and alpha1
-    /// far above alpha2, which is left to who sets them).
+    /// pixels and their distortion. The paper requires positive weights that sum to one. It also
+    /// requires alpha1 far above alpha2, which is not checked.
     ///
     /// # Errors
     /// [`PartitionError::NegligibleWeight`] and [`PartitionError::WeightSum`].
     pub fn new(weights: [f64; 3]) -> Result<Self, PartitionError> {
-        // Written so that NaN is refused too.
+        // In this form NaN is refused too.
         if !weights.iter().all(|&weight| weight > 0.0) {
             return Err(PartitionError::NegligibleWeight { weights });
         }
@@ -103,8 +103,8 @@ impl Criterion {
 }
 
 impl Default for Criterion {
-    /// Distortion first, the number of views next, pixels last: alpha1 is ten times alpha2, and the
-    /// paper's choice comes out.
+    /// Weights distortion most, then the number of views, then pixels. alpha1 is ten times alpha2.
+    /// The result is the paper's choice.
     fn default() -> Self {
         Self::normalised([0.2, 0.02, 0.78])
     }

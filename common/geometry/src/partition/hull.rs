@@ -1,13 +1,13 @@
 //! The convex hull of directions: its facets are the holes between circles.
 //!
-//! The points of the sphere that are farthest from all directions round them are the vertices of
-//! the spherical Voronoi diagram, and these are the circumcentres of the hull's facets. So the
-//! covering radius is the largest circumradius of a facet, exactly.
+//! The points of the sphere farthest from all directions are the vertices of the spherical Voronoi
+//! diagram. These are the circumcentres of the hull's facets. So the covering radius is the largest
+//! circumradius of a facet, exactly.
 
 use nalgebra::Vector3;
 
-/// A point is above a facet's plane when it is higher than this: rounding is below 1e-15, and a
-/// hull that differs by so little has the same circumradii.
+/// Least height of a point above a facet's plane. Rounding is below 1e-15, and a hull that differs
+/// by so little has the same circumradii.
 const ABOVE: f64 = 1e-13;
 
 /// A triangle of the hull; where four directions lie on one circle it is half of their facet.
@@ -18,7 +18,7 @@ pub(super) struct Triangle {
     /// Its unit normal, outwards: the direction of its circumcentre.
     pub(super) normal: Vector3<f64>,
     /// Distance of its plane from the middle of the sphere: the cosine of its circumradius.
-    /// Negative where the hull does not hold the middle.
+    /// Negative where the hull does not contain the middle.
     pub(super) cosine: f64,
 }
 
@@ -42,8 +42,8 @@ impl Triangle {
 /// The 2 N - 4 facets of the hull of N unit vectors; `None` where two of them coincide or all lie
 /// in one plane.
 ///
-/// Points are added one by one: what a point sees is taken away, and the border of the gap is
-/// joined to it.
+/// Points are added one by one: the facets visible from a point are removed, and the border of the
+/// gap is joined to it.
 pub(super) fn hull(points: &[Vector3<f64>]) -> Option<Vec<Triangle>> {
     let start = tetrahedron(points)?;
     let count = points.len();
@@ -53,7 +53,7 @@ pub(super) fn hull(points: &[Vector3<f64>]) -> Option<Vec<Triangle>> {
     {
         facets.push(Triangle::new(points, corners)?);
     }
-    // For each directed edge of a facet taken away, the round in which that was.
+    // Round in which the facet of each directed edge was removed.
     let mut taken = vec![0; count * count];
     let mut gap = Vec::new();
     for (index, point) in points.iter().enumerate() {
@@ -94,7 +94,7 @@ fn tetrahedron(points: &[Vector3<f64>]) -> Option<[usize; 4]> {
     let b = farthest(&|p| along.cross(&(p - first)).norm_squared())?;
     let across = along.cross(&(points[b] - first));
     let c = farthest(&|p| across.dot(&(p - first)).abs())?;
-    // Seen from the fourth point the others must go round clockwise.
+    // From the fourth point the others must appear clockwise.
     let is_above = across.dot(&(points[c] - first)) > 0.0;
     Some(if is_above { [0, b, a, c] } else { [0, a, b, c] })
 }

@@ -1,17 +1,17 @@
-//! Which way a partition is turned, and how its parts are numbered.
+//! Rotation of a partition, and the numbering of its parts.
 
 use nalgebra::{Matrix3, Vector3};
 
 /// Turns directions so that the first looks straight ahead (+x) and the nearest to it lies level,
 /// to its left (+y), and orders them from ahead to behind.
 ///
-/// A covering may be turned at will. The first is the one that has its neighbour nearest; sums,
-/// products and roots alone, as in all that makes a partition.
+/// A covering may be rotated freely. The first direction is the one with the nearest neighbour.
+/// Only sums, products and roots are used, as everywhere in partitions.
 pub(super) fn canonical(directions: &[Vector3<f64>]) -> Vec<Vector3<f64>> {
     let mut closest = (0, 0, -2.0);
     for (a, p) in directions.iter().enumerate() {
         for (b, q) in directions.iter().enumerate() {
-            // Equal but for rounding is equal: the lower numbers win.
+            // Values that differ only by rounding count as equal: the lower numbers win.
             if a != b && p.dot(q) > closest.2 + 1e-9 {
                 closest = (a, b, p.dot(q));
             }
@@ -28,8 +28,8 @@ pub(super) fn canonical(directions: &[Vector3<f64>]) -> Vec<Vector3<f64>> {
     turned
 }
 
-/// Ahead before behind, then above before below, then left before right; equal but for rounding is
-/// equal.
+/// Ahead before behind, then above before below, then left before right. Values that differ only by
+/// rounding count as equal.
 fn rank(direction: &Vector3<f64>) -> [i64; 3] {
     let coarse = |value: f64| (value * -1e7).round() as i64;
     [coarse(direction.x), coarse(direction.z), coarse(direction.y)]

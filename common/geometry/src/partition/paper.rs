@@ -8,17 +8,17 @@ use crate::random::Chance;
 const FIRST_FACTOR: f64 = 0.05;
 /// The factor at which the distances have converged.
 const LAST_FACTOR: f64 = 1e-7;
-/// How many pushes for each centre may bring nothing before the factor is halved.
+/// Number of pushes per centre without progress after which the factor is halved.
 const PATIENCE: usize = 20;
 
 /// "The circle centers are initialized randomly across the surface of the sphere. Through an
 /// iterative process, the two closest centers are separated by a constant factor until
 /// convergence."
 ///
-/// With one factor for ever the centres would end in a tremble as large as it, so it is constant
-/// only as long as it helps, then halved. One random start, as in the paper: another seed may end
-/// in another local optimum. What is found spreads points (the Tammes problem), which is not the
-/// same as covering with the smallest circles.
+/// With one fixed factor the centres would oscillate by that factor. So it is constant only as long
+/// as it helps, then halved. There is one random start, as in the paper: another seed may end in
+/// another local optimum. The result spreads points (the Tammes problem), which differs from
+/// covering with the smallest circles.
 pub(super) fn directions(count: usize, seed: u64) -> Vec<Vector3<f64>> {
     let mut random = Chance::stream(seed, 0);
     let mut centres = Centres::new((0..count).map(|_| random.portable_direction()).collect());
@@ -46,7 +46,7 @@ pub(super) fn directions(count: usize, seed: u64) -> Vec<Vector3<f64>> {
 /// The centres, each with its nearest neighbour.
 struct Centres {
     points: Vec<Vector3<f64>>,
-    /// The number of each one's nearest neighbour, and the cosine of the angle between the two.
+    /// Number of each centre's nearest neighbour, and the cosine of the angle between the two.
     nearest: Vec<(usize, f64)>,
 }
 

@@ -1,8 +1,8 @@
-//! How square views are turned about their axes, so that the smallest squares do.
+//! Rolls of square views about their axes, with which the squares can be smallest.
 //!
-//! Circles do not care; squares reach farther along their diagonals, so each is turned until its
-//! corners reach into the holes where circles meet. Rolls are found on samples of the sphere, which
-//! are joined again and again by the worst points that the exact bound of [`super::squares`] finds.
+//! Circles are not affected by rolls. Squares reach farther along their diagonals, so each is
+//! rotated until its corners reach into the holes between circles. Rolls are found on samples of
+//! the sphere. The exact bound of [`super::squares`] repeatedly adds its worst points to them.
 
 use nalgebra::Vector3;
 
@@ -11,14 +11,14 @@ use super::squares::{Square, half_field};
 use crate::random::Chance;
 use crate::view::upright_axes;
 
-/// Half of the margin that rolls are made for: a marker of 5 cm at 40 cm.
+/// Half of the margin for which rolls are made: a marker of 5 cm at 40 cm.
 const HALF_MARGIN_RAD: f64 = 0.0625;
 
-/// Samples of the sphere, about.
+/// Approximate number of samples of the sphere.
 const SAMPLES: usize = 2_500;
 
-/// Rolls tried in a sweep. They are tangents of half their angle, which need no sine nor cosine;
-/// 1 is a quarter turn, which is none.
+/// Number of rolls tried in a sweep. Each is the tangent of half its angle, which needs no sine or
+/// cosine; 1 is a quarter turn, equal to no turn.
 const CANDIDATES: usize = 32;
 
 /// Rolls, degrees from 0 to 90 to four decimals, of upright views along `points`.
@@ -28,9 +28,9 @@ pub(super) fn degrees(
     seed: u64,
     takes_long: bool,
 ) -> Vec<f64> {
-    // The random starts in a round, and how often its best is shown its worst points and improved.
-    // The short search is what a start of the pipeline can wait for; its squares are about one
-    // degree larger.
+    // Random starts in a round, and the number of times that the best is improved on its worst
+    // points. The short search is acceptable at the start of the pipeline; its squares are about
+    // one degree larger.
     let (rounds, starts, exchanges) = if takes_long { (8, 8, 24) } else { (1, 4, 8) };
     let mut samples = samples(points, facets);
     let enough = HALF_MARGIN_RAD + covering_cosine(facets).acos();
@@ -72,14 +72,14 @@ pub(super) fn degrees(
         .collect()
 }
 
-/// The square along `point` whose roll has this tangent of its half.
+/// The square along `point` whose roll has this tangent of its half-angle.
 fn square(point: &Vector3<f64>, half_tan: f64) -> Square {
     let square = half_tan * half_tan;
     let turn = ((1.0 - square) / (1.0 + square), 2.0 * half_tan / (1.0 + square));
     Square::new(upright_axes(point), turn)
 }
 
-/// Directions at which what the views need is looked at: the holes, and a grid in each facet.
+/// Sample directions for the needs of the views: the holes, and a grid in each facet.
 fn samples(directions: &[Vector3<f64>], facets: &[Triangle]) -> Vec<Vector3<f64>> {
     let steps = ((2 * SAMPLES / facets.len()) as f64).sqrt().ceil() as usize;
     let mut points: Vec<_> = facets.iter().map(|facet| facet.normal).collect();
@@ -95,18 +95,18 @@ fn samples(directions: &[Vector3<f64>], facets: &[Triangle]) -> Vec<Vector3<f64>
     points
 }
 
-/// Rolls on their way to the smallest squares.
+/// State of the search for the rolls of the smallest squares.
 struct Turning<'a> {
     points: &'a [Vector3<f64>],
     samples: &'a [Vector3<f64>],
-    /// Tangent of the half-field that the circumscribed squares need.
+    /// Tangent of the half-field of the circumscribed squares.
     limit: f64,
     sin_half: f64,
     /// Tangents of half the rolls.
     rolls: Vec<f64>,
-    /// For each view the samples that it may serve.
+    /// Samples that each view may serve.
     near: Vec<Vec<usize>>,
-    /// For each sample the views that may serve it, with what they need at present.
+    /// Views that may serve each sample, with the half-field tangents that they need at present.
     needed: Vec<Vec<(usize, f64)>>,
 }
 
@@ -123,7 +123,7 @@ impl<'a> Turning<'a> {
         let level = Square::new([Vector3::x(), Vector3::y(), Vector3::z()], (1.0, 0.0));
         for (index, sample) in samples.iter().enumerate() {
             for (view, point) in points.iter().enumerate() {
-                // On a diagonal it needs the least.
+                // A sample on a diagonal needs the least.
                 let z = point.dot(sample);
                 let x = ((1.0 - z * z).max(0.0) / 2.0).sqrt();
                 if level.needed(&Vector3::new(x, x, z), sin_half) <= limit {
@@ -136,7 +136,7 @@ impl<'a> Turning<'a> {
         Self { points, samples, limit, sin_half, rolls, near, needed }
     }
 
-    /// The half-field's tangent that the worst sample needs.
+    /// Tangent of the half-field that the worst sample needs.
     fn worst(&self) -> f64 {
         let best = |views: &Vec<(usize, f64)>| {
             views.iter().map(|&(_, needed)| needed).fold(f64::INFINITY, f64::min)
@@ -144,8 +144,8 @@ impl<'a> Turning<'a> {
         self.needed.iter().map(best).fold(0.0, f64::max)
     }
 
-    /// Turns each view in turn to the candidate with which its samples need the least, in the mean
-    /// of the 2^`doublings`-th power; true if one was turned.
+    /// Rotates each view in turn to the candidate with which its samples need the least, in the
+    /// mean of the 2^`doublings`-th power. True if a view was rotated.
     fn sweep(
         &mut self,
         doublings: u32,
@@ -189,7 +189,7 @@ impl<'a> Turning<'a> {
         for step in [1e-2, 3e-3, 1e-3, 3e-4, 1e-4] {
             let aside = |roll: f64, index: usize| {
                 let moved: f64 = if index == 0 { roll + step } else { roll - step };
-                // A quarter turn is none.
+                // A quarter turn equals no turn.
                 moved - moved.floor()
             };
             for _ in 0..20 {
@@ -200,7 +200,7 @@ impl<'a> Turning<'a> {
         }
     }
 
-    /// Sum over the view's samples of what they need to the 2^`doublings`-th power, infinite beyond
+    /// Sum over the view's samples of their needs to the 2^`doublings`-th power, infinite beyond
     /// `limit`.
     fn cost(
         &self,

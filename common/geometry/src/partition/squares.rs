@@ -1,10 +1,10 @@
-//! How large square views must be, so that whatever is as wide as the margin lies wholly in one.
+//! The size of square views such that every object as wide as the margin lies wholly in one.
 //!
 //! A disc of half-angle e round p lies in a view of half-field h exactly if, for both axes of the
 //! view, h >= atan(|x|/z) + asin(sin e / hypot(x, z)), (x, y, z) being p in the view's frame: the
-//! side of the view is a plane through the middle of the sphere, and that is how it must be tilted
-//! to touch the disc. With r^2 = x^2 + z^2 and q^2 = r^2 - sin^2 e,
-//! tan h = (|x| q + z sin e) / (z q - |x| sin e), so that no angle is ever taken.
+//! side of the view is a plane through the middle of the sphere, tilted so that it touches the
+//! disc. With r^2 = x^2 + z^2 and q^2 = r^2 - sin^2 e, tan h = (|x| q + z sin e) / (z q - |x| sin
+//! e), so that no angle is needed.
 
 use std::f64::consts::FRAC_PI_2;
 
@@ -21,13 +21,13 @@ pub(super) struct Square {
 }
 
 impl Square {
-    /// The square with these axes, turned about the third by an angle of this cosine and sine.
+    /// Rotates the square with these axes about the third by an angle of this cosine and sine.
     pub(super) fn new([right, down, forward]: [Vector3<f64>; 3], (cos, sin): (f64, f64)) -> Self {
         Self { right: right * cos + down * sin, down: down * cos - right * sin, forward }
     }
 
-    /// Tangent of the half-field that holds the disc round `p` whose half-angle has this sine;
-    /// infinite where no pinhole view holds it.
+    /// Tangent of the half-field that contains the disc around `p` whose half-angle has this sine;
+    /// infinite where no pinhole view contains it.
     pub(super) fn needed(&self, p: &Vector3<f64>, sin_half: f64) -> f64 {
         let z = self.forward.dot(p);
         if z <= 0.0 {
@@ -46,11 +46,11 @@ impl Square {
         along(self.right.dot(p)).max(along(self.down.dot(p)))
     }
 
-    /// Whether the view can be of use in a cap: false if every disc of the cap's points needs more
-    /// than `limit`. `sin_inner` is the sine of the disc's half-angle less the cap's: the disc (or
-    /// for negative values the nearness) that all of the cap's points have in common.
+    /// Whether the view may serve points in a cap: false if every disc around them needs more than
+    /// `limit`. `sin_inner` is the sine of the disc's half-angle less the cap's. It belongs to the
+    /// disc that the discs of all points have in common.
     fn is_useful(&self, middle: &Vector3<f64>, cap_sin: f64, sin_inner: f64, limit: f64) -> bool {
-        // Near the view's horizon and near its axis the formula says nothing.
+        // Near the view's horizon and near its axis the formula is not valid.
         let z = self.forward.dot(middle);
         let is_undecided = |across: f64| z * z + across * across <= sin_inner * sin_inner;
         z.abs() <= cap_sin
@@ -60,25 +60,26 @@ impl Square {
     }
 }
 
-/// Tangent of the smallest half-field with which some square holds the disc round `p`.
+/// Tangent of the smallest half-field with which some square contains the disc around `p`.
 pub(super) fn needed_by_best(squares: &[Square], p: &Vector3<f64>, sin_half: f64) -> f64 {
     squares.iter().map(|square| square.needed(p, sin_half)).fold(f64::INFINITY, f64::min)
 }
 
-/// After so many triangles the tolerance is doubled: where squares meet along whole sides, as those
-/// of the cube without a margin, a whole line needs the same.
+/// Number of triangles after which the tolerance is doubled. Where squares meet along whole sides,
+/// as those of the cube without a margin, a whole line has the same need.
 const PATIENCE: usize = 100_000;
 
-/// The search gives up beyond this half-field's tangent (85 degrees): no pinhole view is so wide.
+/// Tangent of the half-field beyond which the search stops (85 degrees): no pinhole view is so
+/// wide.
 const LARGEST_TAN: f64 = 11.43;
 
-/// The smallest half-field with which the squares hold every disc of half-angle `half_rad`, by
+/// The smallest half-field with which the squares contain every disc of half-angle `half_rad`, by
 /// branch and bound.
 ///
 /// The sphere is cut into triangles, at first the facets of the directions' hull. A triangle lies
-/// in a cap of half-angle c round its middle m, so the disc of half-angle e + c round m holds the
-/// discs of half-angle e round all of its points: what the large disc needs bounds what they need.
-/// A triangle whose bound is within `tolerance_rad` (or a few times that, see [`PATIENCE`]) of the
+/// in a cap of half-angle c around its middle m. So the disc of half-angle e + c around m contains
+/// the discs of half-angle e around all its points. The need of the large disc bounds theirs. A
+/// triangle whose bound is within `tolerance_rad` (or a few times that, see [`PATIENCE`]) of the
 /// worst point seen is done; another is cut into four. `None`: some disc is in no view of less than
 /// 170 degrees.
 pub(super) fn half_field(
@@ -89,7 +90,7 @@ pub(super) fn half_field(
     tolerance_rad: f64,
 ) -> Option<HalfFieldBound> {
     let (sin, cos) = half_rad.sin_cos();
-    // The circumscribed squares hold every disc.
+    // The circumscribed squares contain every disc.
     let enough = half_rad + covering_cosine(facets).acos();
     let mut bound = HalfFieldBound {
         half: (sin, cos),
@@ -99,7 +100,7 @@ pub(super) fn half_field(
         worst: Vec::new(),
         triangles: 0,
     };
-    // Good lower bounds first: the holes and the middles between neighbours need much.
+    // Good lower bounds first: the holes, and the middles between neighbours, have large needs.
     for facet in facets {
         let [a, b, c] = facet.corners.map(|corner| points[corner]);
         for p in [facet.normal, normalized(a + b), normalized(b + c), normalized(c + a)] {
@@ -118,26 +119,27 @@ pub(super) fn half_field(
     Some(bound)
 }
 
-/// A bound on the half-field that some squares need, ever closer while triangles are visited.
+/// A bound on the half-field that some squares need. Each visited triangle improves it.
 pub(super) struct HalfFieldBound {
     /// Sine and cosine of the disc's half-angle.
     half: (f64, f64),
-    /// What is certainly enough.
+    /// A sufficient half-field, as tangent.
     limit_tan: f64,
     tolerance_rad: f64,
-    /// The largest half-field that a point was seen to need.
+    /// The largest half-field that a tested point needs, as tangent.
     worst_tan: f64,
-    /// The directions that needed the most, the last one most of all.
+    /// The directions with the largest needs, in rising order.
     pub(super) worst: Vec<Vector3<f64>>,
-    /// How many triangles were looked at.
+    /// Number of visited triangles.
     pub(super) triangles: usize,
 }
 
 impl HalfFieldBound {
-    /// Tangent of a half-field that holds every disc once all triangles were visited: never too
-    /// small, too large by the tolerance. A triangle that needs no more is done.
+    /// Tangent of a half-field that contains every disc after all triangles were visited. It is
+    /// never too small, and too large by the tolerance at most. A triangle that needs no more is
+    /// done.
     pub(super) fn certified_tan(&self) -> f64 {
-        // The tangent's slope only grows, so this is at most the tolerance beyond the worst.
+        // The tangent's slope only grows, so this is at most the tolerance beyond the worst point.
         self.worst_tan + self.tolerance_rad * (1.0 + self.worst_tan * self.worst_tan)
     }
 

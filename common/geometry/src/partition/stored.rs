@@ -1,6 +1,6 @@
-//! Partitions found beforehand, so that a start costs nothing.
+//! Precomputed partitions, so that a start takes no time for them.
 //!
-//! `data/partitions.json` is what `flockeye partition --compute --json` printed. Only its
+//! `data/partitions.json` is the output of `flockeye partition --compute --json`. Only its
 //! directions and rolls are read; [`super::Partition`] measures everything else again.
 
 use nalgebra::{Unit, Vector3};
@@ -14,7 +14,7 @@ struct StoredCovering {
     rolls_deg: Vec<f64>,
 }
 
-/// The stored coverings: the directions of each, and the roll of the view along each of them.
+/// The stored coverings: the directions of each, and the roll of each view.
 #[expect(clippy::expect_used, reason = "the file is part of the program; a test reads all of it")]
 pub(super) fn coverings() -> impl Iterator<Item = (Vec<Ray>, Vec<f64>)> {
     let mut file: serde_json::Value =
@@ -22,7 +22,7 @@ pub(super) fn coverings() -> impl Iterator<Item = (Vec<Ray>, Vec<f64>)> {
     let coverings: Vec<StoredCovering> =
         serde_json::from_value(file["partitions"].take()).expect("partitions.json");
     coverings.into_iter().map(|covering| {
-        // As written, to the last bit: they are unit vectors already.
+        // Exact to the last bit as written: they are unit vectors already.
         let direction = |&xyz: &[f64; 3]| Unit::new_unchecked(Vector3::from(xyz));
         (covering.directions.iter().map(direction).collect(), covering.rolls_deg)
     })

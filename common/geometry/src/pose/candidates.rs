@@ -1,4 +1,4 @@
-//! Hypotheses, their vote, and what remains of them.
+//! Pose hypotheses, their score on all rays, and the choice of the best.
 
 use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
 
@@ -7,19 +7,19 @@ use super::refine::{refine_sighted, rough_cost};
 use super::{PoseError, PoseSolution, ippe};
 use crate::body::Body;
 
-/// Maximum hypotheses that are refined.
+/// Most hypotheses to refine.
 const REFINED_MAX: usize = 6;
 
-/// Solutions nearer to each other than this are one: radians, and share of the range.
+/// Solutions nearer to each other than this count as one: radians, and share of the range.
 const DISTINCT: f64 = 0.02;
 
 /// Every distinct pose of `body` that explains its rays in one frame, cheapest first: usually one,
 /// or two where the rays leave a mirror image open.
 ///
-/// Rays of markers that the body does not have, rays that are no numbers, and corners seen twice
-/// are sorted out here. Of a marker that is seen at two places, the place that agrees with the
-/// others counts. Where three or more markers are seen, up to 30 % of them may be misread, or 30 %
-/// of all corners be wrong. The same rays always give the same solutions.
+/// Rays of markers that the body does not have, rays that are not finite, and corners seen twice
+/// are left out here. Of a marker seen at two places, the place that fits the other markers counts.
+/// Where three or more markers are seen, up to 30 % of them may be misread, or 30 % of all corners
+/// be wrong. The same rays always give the same solutions.
 ///
 /// # Errors
 /// Too few rays, no whole marker, or nothing that fits: [`PoseError`].
@@ -34,16 +34,17 @@ pub fn solve(body: &Body, rays: &[CornerRay]) -> Result<Vec<PoseSolution>, PoseE
     }
     let mut solutions: Vec<PoseSolution> = Vec::new();
     refine_best(&mut solutions, &markers, whole_marker_poses);
-    // Where rays are left over, some of them are wrong, and whole markers may all hold one.
+    // Remaining rays contain some errors, possibly in each whole marker.
     if cheapest(&solutions).is_none_or(|best| best.inlier_corners < usable) {
         refine_best(&mut solutions, &markers, three_corner_poses);
     }
-    // The mirror image of the whole set of the best's markers, which no single marker may show.
+    // The mirror image of all markers of the best solution together, which no single marker may
+    // show.
     if let Some(mirrored) = cheapest(&solutions).and_then(|best| mirror(&markers, best)) {
         keep_if_distinct(&mut solutions, refine_sighted(&markers, &mirrored));
     }
     solutions.sort_by(|a, b| a.cost.total_cmp(&b.cost));
-    // What half of the best's rays do not support was started by a misread marker.
+    // Half of the best solution's rays do not support a hypothesis that a misread marker started.
     let needed = solutions.first().map_or(0, |best| best.inlier_corners.div_ceil(2));
     solutions.retain(|solution| solution.inlier_corners >= needed);
     if solutions.is_empty() {
@@ -52,7 +53,7 @@ pub fn solve(body: &Body, rays: &[CornerRay]) -> Result<Vec<PoseSolution>, PoseE
     Ok(solutions)
 }
 
-/// Refines the hypotheses that agree best with all rays, and keeps what is new.
+/// Refines the hypotheses that fit all rays best, and keeps the new ones.
 fn refine_best(
     solutions: &mut Vec<PoseSolution>,
     markers: &[SightedMarker<'_>],
@@ -60,14 +61,14 @@ fn refine_best(
 ) {
     let mut hypotheses: Vec<(f64, Isometry3<f64>)> =
         markers.iter().flat_map(poses).map(|pose| (rough_cost(markers, &pose), pose)).collect();
-    // A stable sort: equal ones stay in the order of their markers.
+    // The sort is stable: equal hypotheses stay in the order of their markers.
     hypotheses.sort_by(|a, b| a.0.total_cmp(&b.0));
     let mut refined = 0;
     for (_, start) in &hypotheses {
         if refined >= REFINED_MAX {
             break;
         }
-        // What starts where a solution already is would end there.
+        // A hypothesis at an existing solution would converge to it.
         let is_known =
             |known: &PoseSolution| is_near(&known.camera_from_markers, start, 2.0 * DISTINCT);
         if solutions.iter().any(is_known) {
@@ -84,8 +85,8 @@ fn whole_marker_poses(sighted: &SightedMarker<'_>) -> Vec<Isometry3<f64>> {
     poses_of(sighted, &[a.ray, b.ray, c.ray, d.ray])
 }
 
-/// Poses from three corners: each corner in turn is put where the other three complete a
-/// parallelogram.
+/// Poses from three corners: each corner in turn is replaced by the point at which the other three
+/// complete a parallelogram.
 fn three_corner_poses(sighted: &SightedMarker<'_>) -> Vec<Isometry3<f64>> {
     let [a, b, c, d] = sighted.sights.as_slice() else { return Vec::new() };
     let rays = [a.ray, b.ray, c.ray, d.ray];
@@ -140,10 +141,10 @@ fn mirror(markers: &[SightedMarker<'_>], solution: &PoseSolution) -> Option<Isom
     mirror_image(&solution.camera_from_markers, &Point3::from(middle), &flattest)
 }
 
-/// The other pose in which what is flat looks the same from afar: `R' = M_v R M_n`, with M the
+/// The other pose in which a flat body looks the same from afar: `R' = M_v R M_n`, with M the
 /// reflections at the planes across the line of sight v to its `middle` and across its unit
-/// `normal` n, both in the markers' frame (the ambiguity of weak perspective). The middle stays
-/// where it is seen. `None` where that is the camera itself.
+/// `normal` n, both in the markers' frame (the ambiguity of weak perspective). The direction of the
+/// middle stays. `None` where the middle is at the camera.
 pub fn mirror_image(
     camera_from_markers: &Isometry3<f64>,
     middle: &Point3<f64>,

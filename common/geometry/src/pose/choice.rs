@@ -1,13 +1,13 @@
-//! Which of several solutions is meant.
+//! The choice between several solutions.
 
 use super::{PoseEstimate, PoseSolution, pose_difference};
 
-/// A prior never weighs more than about this many squared standard deviations for each factor of e
-/// by which it is exceeded, so that a wrong track can be contradicted: the 99.9 % quantile of
+/// Limit on the weight of a prior, so that measurements can contradict a wrong track: about this
+/// many squared standard deviations for each factor of e beyond it. It is the 99.9 % quantile of
 /// chi-square with 6 degrees of freedom.
 const PRIOR_SCALE: f64 = 22.46;
 
-/// The cheapest solution, its distance from the prior counted in; `None` if there is none.
+/// The cheapest solution, including its distance from the prior; `None` without solutions.
 pub fn choose<'a>(
     solutions: &'a [PoseSolution],
     predicted: Option<&PoseEstimate>,
@@ -15,8 +15,8 @@ pub fn choose<'a>(
     ranked(solutions, predicted).first().map(|&(_, solution)| solution)
 }
 
-/// The solutions with their costs, their distances from the prior counted in; the cheapest comes
-/// first. The difference of two costs is twice the logarithm of their likelihoods' ratio.
+/// The solutions with their costs, including their distances from the prior; the cheapest comes
+/// first. The difference of two costs is twice the log-likelihood ratio.
 pub(super) fn ranked<'a>(
     solutions: &'a [PoseSolution],
     predicted: Option<&PoseEstimate>,
@@ -36,7 +36,7 @@ pub(super) fn ranked<'a>(
 fn prior_cost(solution: &PoseSolution, prior: &PoseEstimate) -> f64 {
     let difference = pose_difference(&solution.camera_from_markers, &prior.camera_from_markers);
     let covariance = prior.covariance + solution.inflated_covariance();
-    // A covariance that is none says nothing.
+    // A matrix that is no covariance has no weight.
     let squared =
         covariance.cholesky().map_or(0.0, |factor| difference.dot(&factor.solve(&difference)));
     PRIOR_SCALE * (squared.max(0.0) / PRIOR_SCALE).ln_1p()

@@ -18,8 +18,8 @@ use crate::Ray;
 /// Seen frontally, both are nearly the same. `None` for rays that are no picture of a square: more
 /// than 80 degrees from their mean, on a line, or crossed.
 pub fn poses_of_square(side: f64, rays: &[Vector3<f64>; 4]) -> Option<[Isometry3<f64>; 2]> {
-    // A frame whose z axis is the rays' mean: there they are points of a picture, wherever in the
-    // camera frame they lie.
+    // In a frame whose z axis is the rays' mean they are points of a picture, for any direction in
+    // the camera frame.
     let mean = rays.iter().sum::<Vector3<f64>>().try_normalize(1e-6)?;
     let camera_from_picture = rotation_from_z(&mean);
     let mut corners = [Vector2::zeros(); 4];
@@ -42,10 +42,9 @@ pub fn poses_of_square(side: f64, rays: &[Vector3<f64>; 4]) -> Option<[Isometry3
     Some([pose(&rotations[0])?, pose(&rotations[1])?])
 }
 
-/// How far the corners that are seen along `rays` are from those of a square, in ArUco's order:
-/// squared, in standard deviations across each ray, radians. Two of a square's eight coordinates
-/// are not free, so the tail of right corners' distances is that of a chi-square distribution of 2
-/// degrees.
+/// Squared distance of the corners along `rays` from those of a square, in ArUco's order, in
+/// standard deviations across each ray (radians). Two of a square's eight coordinates are not free,
+/// so the tail of right corners' distances is that of a chi-square distribution of 2 degrees.
 ///
 /// The nearer one of the two poses by [`poses_of_square`] counts. `None` for rays that are no
 /// picture of a square.
@@ -70,8 +69,8 @@ fn corners_of_square(side: f64) -> [Vector3<f64>; 4] {
         .map(|(x, y)| Vector3::new(x, y, 0.0))
 }
 
-/// Where the homography from the marker (x right, y up, metres) to the picture puts the marker's
-/// centre, and its Jacobian there.
+/// Point of the picture to which the homography from the marker (x right, y up, metres) maps the
+/// marker's centre, and its Jacobian there.
 fn homography_at_centre(
     side: f64,
     corners: &[Vector2<f64>; 4],
@@ -101,15 +100,14 @@ fn homography_at_centre(
     Some((centre, Matrix2::from_columns(&[column(along_u, g), column(along_v, h)])))
 }
 
-/// The two rotations `picture_from_marker` with which the marker's plane has this Jacobian where
-/// its centre is seen at `centre`.
+/// The two rotations `picture_from_marker` for which the marker's plane has this Jacobian at
+/// `centre`, the picture of its centre.
 fn rotations(centre: &Vector2<f64>, jacobian: &Matrix2<f64>) -> Option<[Rotation3<f64>; 2]> {
     let to_centre = rotation_from_z(&Vector3::new(centre.x, centre.y, 1.0).normalize());
     let turn = to_centre.matrix();
     let basis = turn.fixed_view::<2, 2>(0, 0) - centre * turn.fixed_view::<1, 2>(2, 0);
     let scaled = basis.try_inverse()? * jacobian;
-    // The upper left of a rotation has 1 as its largest singular value; what it is scaled by is
-    // 1 / depth.
+    // The upper left of a rotation has 1 as its largest singular value; its scale is 1 / depth.
     let gram = scaled * scaled.transpose();
     let spread = ((gram[(0, 0)] - gram[(1, 1)]).powi(2) + 4.0 * gram[(0, 1)].powi(2)).sqrt();
     let scale = ((gram.trace() + spread) / 2.0).sqrt();
@@ -117,7 +115,7 @@ fn rotations(centre: &Vector2<f64>, jacobian: &Matrix2<f64>) -> Option<[Rotation
         return None;
     }
     let flat = scaled / scale;
-    // The third row follows from unit columns across each other, but for its sign: the mirror.
+    // The third row follows from orthogonal unit columns up to its sign, which is the mirror.
     let column = |k: usize| (1.0 - flat.column(k).norm_squared()).max(0.0).sqrt();
     let b0 = column(0);
     let across = -flat.column(0).dot(&flat.column(1));
@@ -126,7 +124,7 @@ fn rotations(centre: &Vector2<f64>, jacobian: &Matrix2<f64>) -> Option<[Rotation
         let x = Vector3::new(flat[(0, 0)], flat[(1, 0)], sign * b0);
         let y = Vector3::new(flat[(0, 1)], flat[(1, 1)], sign * b1);
         let z = x.cross(&y);
-        // Orthonormal but for rounding; made exactly so.
+        // Orthonormal up to rounding; normalised here.
         let x = x.normalize();
         let z = z.try_normalize(1e-9)?;
         Some(to_centre * Rotation3::from_basis_unchecked(&[x, z.cross(&x), z]))
@@ -153,7 +151,7 @@ fn translation(
 
 /// A rotation that takes the z axis to `direction`, a unit vector.
 fn rotation_from_z(direction: &Vector3<f64>) -> Rotation3<f64> {
-    // Straight back every axis will do.
+    // Straight back, any axis is valid.
     Rotation3::rotation_between(&Vector3::z(), direction)
         .unwrap_or_else(|| Rotation3::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI))
 }

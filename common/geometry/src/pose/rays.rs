@@ -1,4 +1,4 @@
-//! What a pose is measured by: the rays of a body's corners.
+//! The measurements of a pose: the rays of a body's corners.
 
 use nalgebra::{Matrix3x2, Point3, Vector3};
 
@@ -6,12 +6,12 @@ use super::{GATE_DEVIATIONS, GATE_SIDE};
 use crate::Ray;
 use crate::body::{Body, Marker};
 
-/// The direction in which one corner of a marker was seen.
+/// Direction of one corner of a marker in an image.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct CornerRay {
     /// The marker's id.
     pub marker_id: u32,
-    /// Which corner, 0 to 3, in ArUco's order.
+    /// Index of the corner, 0 to 3, in ArUco's order.
     pub corner: usize,
     /// The direction, in the camera frame.
     pub ray_in_camera: Ray,
@@ -20,7 +20,7 @@ pub struct CornerRay {
 }
 
 impl CornerRay {
-    /// Whether its numbers are numbers and it names a corner.
+    /// Whether all numbers are finite and the corner exists.
     fn is_usable(&self) -> bool {
         self.corner < 4
             && (self.ray_in_camera.norm_squared() - 1.0).abs() < 1e-6
@@ -29,16 +29,16 @@ impl CornerRay {
     }
 }
 
-/// Two sightings of one marker are of one place if their common corners are nearer to each other
-/// than this share of the marker's apparent side.
+/// Largest distance between common corners of two sightings at one place, as a share of the
+/// marker's apparent side.
 const SAME_PLACE_SIDES: f64 = 0.5;
 
 /// The rays of each marker at each place, with each corner once, by rising marker.
 ///
-/// Where a corner was seen twice at one place (two views overlap, and resample the same pixels) the
-/// ray of smallest deviation stays, of equal ones the first. One marker at two places stays apart:
-/// one of them is another print of it, or a reflection. Rays that are not usable (not finite, not
-/// of unit length, without a positive deviation) are left out.
+/// Overlapping views resample the same pixels, so a corner may be seen twice at one place. Then the
+/// ray of smallest deviation stays, the first of equal ones. One marker at two places stays apart:
+/// one is another print of it, or a reflection. Rays that are not usable (not finite, not of unit
+/// length, without a positive deviation) are left out.
 pub(super) fn sightings(rays: &[CornerRay]) -> Vec<Vec<CornerRay>> {
     let mut places: Vec<Vec<CornerRay>> = Vec::new();
     for sighting in in_order(rays) {
@@ -52,8 +52,8 @@ pub(super) fn sightings(rays: &[CornerRay]) -> Vec<Vec<CornerRay>> {
     places
 }
 
-/// The rays of each marker once, by rising marker: at the place where they are sharpest, if it is
-/// seen at several.
+/// The rays of each marker once, by rising marker. If a marker is seen at several places, the
+/// sharpest counts.
 pub fn keep_sharpest(rays: &[CornerRay]) -> Vec<CornerRay> {
     let deviation = |place: &Vec<CornerRay>| {
         place.iter().map(|ray| ray.deviation_rad).sum::<f64>() / place.len() as f64
@@ -67,7 +67,7 @@ pub fn keep_sharpest(rays: &[CornerRay]) -> Vec<CornerRay> {
         .collect()
 }
 
-/// The rays as they were given, cut where another marker begins or a corner comes again. None is
+/// The rays in their given order, split where another marker begins or a corner repeats. No part is
 /// empty.
 fn in_order(rays: &[CornerRay]) -> Vec<Vec<CornerRay>> {
     let mut sightings: Vec<Vec<CornerRay>> = Vec::new();
@@ -111,7 +111,7 @@ fn apparent_side_rad(rays: &[CornerRay]) -> f64 {
         / 2f64.sqrt()
 }
 
-/// One ray, ready to be compared with where a pose puts its corner.
+/// One ray, prepared for comparison with the corner at a pose.
 #[derive(Debug, Clone)]
 pub(super) struct Sight {
     /// The corner, in the markers' frame, metres.
@@ -133,12 +133,12 @@ pub(super) struct SightedMarker<'a> {
     pub marker: &'a Marker,
     pub centre: Point3<f64>,
     pub normal: Vector3<f64>,
-    /// One to four, by rising corner.
+    /// One to four rays, by rising corner.
     pub sights: Vec<Sight>,
 }
 
-/// The usable rays of the body's own markers, by rising id. A marker that is seen at two places is
-/// there twice.
+/// The usable rays of the body's own markers, by rising id. A marker seen at two places is listed
+/// twice.
 pub(super) fn sighted<'a>(body: &'a Body, rays: &[CornerRay]) -> Vec<SightedMarker<'a>> {
     sightings(rays)
         .iter()
@@ -167,7 +167,7 @@ pub(super) fn sighted<'a>(body: &'a Body, rays: &[CornerRay]) -> Vec<SightedMark
         .collect()
 }
 
-/// Two unit vectors across the ray and each other.
+/// Two unit vectors orthogonal to the ray and to each other.
 fn tangent(ray: &Ray) -> Matrix3x2<f64> {
     // The axis farthest from the ray gives the best conditioned cross product.
     let axis = match ray.iamin() {

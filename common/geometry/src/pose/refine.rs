@@ -1,4 +1,4 @@
-//! A pose made to fit its rays: Levenberg-Marquardt over position and rotation.
+//! Refinement of a pose on its rays: Levenberg-Marquardt over position and rotation.
 
 use nalgebra::{Isometry3, Matrix6};
 
@@ -8,13 +8,13 @@ use super::residual::{
 };
 use super::{GATE_DEVIATIONS, PoseSolution, ROBUST_SCALE};
 
-/// Share of a marker's side up to which errors count fully while a start may still be off.
+/// Share of a marker's side up to which errors count fully for an inexact start.
 const COARSE_SIDE: f64 = 0.2;
-/// Errors beyond this share of a marker's side keep it out of the coarse fit.
+/// Share of a marker's side beyond which errors exclude a marker from the coarse fit.
 const COARSE_GATE: f64 = 0.6;
 
-/// First on all rays that roughly agree, errors within a fifth of a side counting fully; then on
-/// those that fit, until these stay the same.
+/// Refines first on all rays that roughly fit; errors up to a fifth of a side count fully. Then
+/// refines on the fitting rays, until these no longer change.
 pub(super) fn refine_sighted(
     markers: &[SightedMarker<'_>],
     start: &Isometry3<f64>,
@@ -46,21 +46,21 @@ pub(super) fn refine_sighted(
     solution(markers, &inliers, pose)
 }
 
-/// What the errors of these rays scatter, in stated deviations, and at least one: half of the
-/// errors of a Gaussian in two dimensions are below 1.18 deviations.
+/// Scatter of these rays' errors, in stated deviations, at least one. Half of the errors of a
+/// Gaussian in two dimensions are below 1.18 deviations.
 fn scatter(markers: &[SightedMarker<'_>], inliers: &[Fitting], pose: &Isometry3<f64>) -> f64 {
     let mut errors: Vec<f64> = chosen_sights(markers, inliers)
         .filter_map(|sight| error(sight, pose))
         .map(|error| error.norm())
         .collect();
     errors.sort_by(f64::total_cmp);
-    // A pose bends to a few rays: what is left of their errors is less than they are off.
+    // A pose adapts to few rays, so their residuals are smaller than their errors.
     let count = errors.len() as f64;
     let bent = (2.0 * count / (2.0 * count - 6.0).max(2.0)).sqrt();
     errors.get(errors.len() / 2).map_or(1.0, |error| (error / 1.177 * bent).max(1.0))
 }
 
-/// Robust cost of all rays at a pose, in squared standard deviations: those that do not fit cost as
+/// Robust cost of all rays at a pose, in squared standard deviations. Rays that do not fit cost as
 /// much as at their gates.
 pub(super) fn consensus_cost(markers: &[SightedMarker<'_>], pose: &Isometry3<f64>) -> f64 {
     let of_marker = |marker: &SightedMarker<'_>| -> f64 {
@@ -74,9 +74,8 @@ pub(super) fn consensus_cost(markers: &[SightedMarker<'_>], pose: &Isometry3<f64
     markers.iter().map(of_marker).sum()
 }
 
-/// How badly a rough pose agrees with the rays, from 0 to 1 for each ray: errors are measured by
-/// the markers' sides, because a hypothesis from one marker is off by more than noise on the
-/// others.
+/// Misfit of a rough pose, from 0 to 1 for each ray. Errors are relative to the markers' sides,
+/// because a hypothesis from one marker has errors beyond the noise on the others.
 pub(super) fn rough_cost(markers: &[SightedMarker<'_>], pose: &Isometry3<f64>) -> f64 {
     markers
         .iter()
@@ -135,7 +134,7 @@ fn minimise(
     for _ in 0..iterations {
         let mut damped = at.matrix;
         for k in 0..6 {
-            // The floor keeps a direction that the rays say nothing of from being singular.
+            // The lower limit keeps a direction without information from being singular.
             damped[(k, k)] += damping * at.matrix[(k, k)].max(1e-9);
         }
         let Some(factor) = damped.cholesky() else {
@@ -163,7 +162,7 @@ fn minimise(
     Some(pose)
 }
 
-/// What a refined pose says of itself; `None` if no marker fits or the rays leave it open.
+/// Statistics of a refined pose; `None` if no marker fits or the rays do not determine the pose.
 fn solution(
     markers: &[SightedMarker<'_>],
     inliers: &[Fitting],
@@ -174,9 +173,9 @@ fn solution(
     if inlier_corners < 4 {
         return None;
     }
-    // Four rays or more: at least two degrees of freedom.
+    // At least four rays, which leave two degrees of freedom.
     let freedom = (2 * inlier_corners - 6) as f64;
-    // A pose bends to its rays, so that what is weighed of their errors is less than these are.
+    // A pose adapts to its rays, so their weighted residuals are smaller than their errors.
     let bent = (freedom / (2 * inlier_corners) as f64).sqrt();
     let covariance = covariance(sights.clone(), &pose, ROBUST_SCALE / bent)?;
     if !covariance.iter().chain(pose.translation.vector.iter()).all(|x| x.is_finite()) {
@@ -197,8 +196,8 @@ fn solution(
 }
 
 /// Covariance of the pose that minimises the robust cost of these rays, if their errors are
-/// Gaussian as stated: `(J^T J)^-1` times what the weights lose (P. Huber, Robust Statistics, 1981,
-/// 6.3), the mean of the squared influence over the squared mean of its slope.
+/// Gaussian as stated: `(J^T J)^-1` times the loss from the weights (P. Huber, Robust Statistics,
+/// 1981, 6.3), the mean of the squared influence over the squared mean of its slope.
 fn covariance<'a>(
     sights: impl Iterator<Item = &'a Sight>,
     pose: &Isometry3<f64>,
@@ -212,13 +211,13 @@ fn covariance<'a>(
     Some(matrix.cholesky()?.inverse() * loss(scale))
 }
 
-/// By how much Cauchy's cost of this scale loses to least squares on errors of two dimensions and a
-/// deviation of one: 1.03 for a scale of 3.
+/// Loss of efficiency of Cauchy's cost of this scale against least squares, for errors in two
+/// dimensions with a deviation of one: 1.03 for a scale of 3.
 fn loss(scale: f64) -> f64 {
     const PARTS: u32 = 64;
     let (mut influence, mut slope) = (0.0, 0.0);
     for part in 0..PARTS {
-        // The squared error is distributed exponentially, with a mean of 2.
+        // The squared error has an exponential distribution with a mean of 2.
         let below = (f64::from(part) + 0.5) / f64::from(PARTS);
         let squared = -2.0 * (1.0 - below).ln();
         let weight = 1.0 / (1.0 + squared / (scale * scale));

@@ -1,18 +1,18 @@
-//! How far a ray is from where a pose puts its corner, and how that changes with the pose.
+//! Distance of a ray from its corner at a pose, with its derivative by the pose.
 
 use nalgebra::{Isometry3, Matrix2x3, Matrix2x6, Matrix3, Matrix6, Vector2, Vector3, Vector6};
 
 use super::rays::{Sight, SightedMarker};
 
-/// A marker counts as facing the camera up to this far past edge on: cosine of 93 degrees, since
-/// noise tilts what is seen edge on.
+/// Cosine of the largest angle at which a marker faces the camera: 93 degrees, since noise tilts
+/// markers seen edge on.
 const EDGE_ON: f64 = 0.052;
 
 /// Error of a corner in standard deviations, in the plane tangent to the sphere at its ray.
 ///
-/// 2 tan(angle / 2) times its direction: the angle itself for all errors that occur at a solution
-/// (0.01 % more at 2 degrees), and, unlike its sine or tangent, it rises all the way to straight
-/// behind. `None` for a corner at the camera or straight behind.
+/// It is 2 tan(angle / 2) times its direction, nearly the angle itself for all errors at a solution
+/// (0.01 % more at 2 degrees). Unlike a sine or tangent, it rises all the way to straight behind.
+/// `None` for a corner at the camera or straight behind.
 pub(super) fn error(sight: &Sight, camera_from_markers: &Isometry3<f64>) -> Option<Vector2<f64>> {
     let seen = (camera_from_markers * sight.corner).coords;
     let direction = seen.try_normalize(1e-9)?;
@@ -69,9 +69,8 @@ pub(super) fn facing(marker: &SightedMarker<'_>, camera_from_markers: &Isometry3
     centre.try_normalize(1e-9).map_or(-1.0, |direction| -normal.dot(&direction))
 }
 
-/// Which rays of a marker fit: those within `gate` of it, if its front is seen, or it is edge on,
-/// and they are more than half of its rays. What few corners of a misread marker happen to lie
-/// right says nothing.
+/// The fitting rays of a marker: those within `gate`, if its front is visible or it is edge on, and
+/// if they are more than half of its rays. A few corners of a misread marker may fit by chance.
 pub(super) fn fitting(
     marker: &SightedMarker<'_>,
     camera_from_markers: &Isometry3<f64>,
@@ -87,7 +86,7 @@ pub(super) fn fitting(
     if is_agreeing(marker, &fitting) { fitting } else { [false; 4] }
 }
 
-/// Which of a marker's rays fit, in their order.
+/// Whether each of a marker's rays fits, in their order.
 pub(super) type Fitting = [bool; 4];
 
 /// Whether more than half of a marker's rays fit.

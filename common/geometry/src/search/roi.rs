@@ -1,4 +1,4 @@
-//! Regions of interest: small magnified views at where neighbours are predicted.
+//! Regions of interest: small magnified views at the predicted neighbours.
 
 use nalgebra::{Isometry3, Matrix3, Unit, Vector3};
 
@@ -7,14 +7,14 @@ use crate::Ray;
 use crate::body::{Body, Marker};
 use crate::view::View;
 
-/// Where a neighbour will be when the next frame is exposed.
+/// Prediction of a neighbour at the exposure of the next frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PredictedNeighbour {
     /// The number of its body.
     pub target: usize,
     /// The middle of its body, in the camera frame.
     pub direction_in_camera: Ray,
-    /// How that direction turns: rotation vector a second, in the camera frame, radians/s.
+    /// Rotation of that direction: rotation vector a second, in the camera frame, radians/s.
     pub rate_in_camera: Vector3<f64>,
     /// Angle from the body's middle to its rim, radians.
     pub radius_rad: f64,
@@ -25,11 +25,11 @@ pub struct PredictedNeighbour {
 }
 
 impl PredictedNeighbour {
-    /// What a predicted pose of `body`'s markers says of the view to take.
+    /// View parameters from a predicted pose of `body`'s markers.
     ///
-    /// `position_covariance` (m^2) and `velocity_in_camera` (m/s) are those of the markers' origin
-    /// in the camera frame, the velocity as the camera sees it. `None` for a pose that is not a
-    /// number or has the camera inside it.
+    /// `position_covariance` (m^2) and `velocity_in_camera` (m/s) belong to the markers' origin in
+    /// the camera frame; the velocity is relative to the camera. `None` for a pose that is not
+    /// finite or has the camera inside the body.
     pub fn from_pose(
         target: usize,
         body: &Body,
@@ -45,7 +45,7 @@ impl PredictedNeighbour {
             return None;
         }
         let direction = Unit::new_normalize(position);
-        // Only what moves the body across the line of sight moves it in the view.
+        // Only motion across the line of sight moves the body in the view.
         let across = Matrix3::identity() - direction.into_inner() * direction.transpose();
         let lateral = across * position_covariance * across;
         let variance = lateral.symmetric_eigenvalues().max();
@@ -60,26 +60,29 @@ impl PredictedNeighbour {
     }
 }
 
-/// Side that the smallest marker to be decoded gets in the view, pixels.
+/// Side of the smallest marker to decode in the view, pixels.
 const MARKER_PX: f64 = 80.0;
-/// Side that it gets at least, however uncertain its direction, pixels: below, nothing decodes.
+/// Least side of that marker for any uncertainty of the direction, pixels: no smaller marker
+/// decodes.
 const MARKER_LEAST_PX: f64 = 24.0;
 /// Largest magnification over the sphere's own resolution.
 const MAGNIFICATION_MAX: f64 = 3.0;
-/// Smallest and largest angle that a view's sides span, degrees.
+/// Smallest and largest field of a view, degrees.
 const FIELD_MIN_DEG: f64 = 4.0;
 const FIELD_MAX_DEG: f64 = 70.0;
-/// Standard deviations of the direction that are added to either side of the body.
+/// Margin on either side of the body, in standard deviations of the direction.
 const MARGIN_DEVIATIONS: f64 = 3.0;
 /// Pixels along the side of the largest view.
 pub const ROI_SIZE_MAX_PX: u32 = 640;
 
-/// How regions of interest share a frame with the partitions, and what their views are cut from.
+/// Options of regions of interest: their share of a frame beside the partitions, and the resolution
+/// of their source.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RoiOptions {
     /// The sphere image's own resolution, pixels for each radian.
     pub pixels_per_radian: f64,
-    /// Partitions that a lossless run searches in each frame beside the neighbours' views.
+    /// Number of partitions that a lossless run searches in each frame beside the neighbours'
+    /// views.
     pub partitions_per_frame: usize,
 }
 
@@ -107,17 +110,16 @@ impl RoiOptions {
     }
 }
 
-/// The view for one neighbour: centred on its direction, its field the body's angular diameter and
-/// the margins for uncertainty.
+/// The view for one neighbour, centred on its direction. Its field is the body's angular diameter
+/// and the margins for uncertainty.
 ///
-/// It is magnified until the smallest marker gets `MARKER_PX`, but not beyond
-/// `MAGNIFICATION_MAX`, and not beyond what lets the field fit the largest view, as
-/// long as markers get `MARKER_LEAST_PX` and the sphere's own resolution: of a wide
-/// field in which nothing decodes nobody has anything, so it is cut instead, round where the
-/// neighbour is most likely. A view of a close neighbour, whose markers are large enough anyway, is
-/// taken at less than the sphere's resolution.
+/// It is magnified until the smallest marker has `MARKER_PX`, up to `MAGNIFICATION_MAX`. The field
+/// must also fit the largest view. But markers get at least `MARKER_LEAST_PX` and the sphere's own
+/// resolution. If both are impossible, the field is reduced around the most likely direction,
+/// because a wide field in which nothing decodes is useless. Markers of a close neighbour are large
+/// enough, so its view has less than the sphere's resolution.
 ///
-/// `None` for a prediction that is not a number.
+/// `None` for a prediction that is not finite.
 pub fn roi_view(neighbour: &PredictedNeighbour, pixels_per_radian: f64) -> Option<SearchView> {
     let wanted_rad = 2.0 * (neighbour.radius_rad + MARGIN_DEVIATIONS * neighbour.deviation_rad);
     let finite = wanted_rad.is_finite()
@@ -136,7 +138,7 @@ pub fn roi_view(neighbour: &PredictedNeighbour, pixels_per_radian: f64) -> Optio
     let least = (MARKER_LEAST_PX / neighbour.marker_rad).clamp(own, most).min(wanted_at);
     let fits_at = f64::from(ROI_SIZE_MAX_PX) / span;
     let focal_px = wanted_at.clamp(own, most).min(fits_at).max(least);
-    // f64 to u32 saturates, so an absurd prediction cannot wrap round.
+    // f64 to u32 saturates, so an absurd prediction cannot wrap around.
     let size_px = ((focal_px * span).ceil() as u32).clamp(1, ROI_SIZE_MAX_PX);
     let upright = View::looking_at(&neighbour.direction_in_camera, field_rad, size_px);
     Some(SearchView {

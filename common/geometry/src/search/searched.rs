@@ -1,4 +1,4 @@
-//! What was searched, and when.
+//! Record of searches, with their frames.
 
 use std::collections::BTreeMap;
 
@@ -6,15 +6,14 @@ use serde::{Deserialize, Serialize};
 
 use super::{Purpose, Search};
 
-/// When each tile and each target's region of interest was searched last, and which tile had the
-/// last hit.
+/// Last search of each tile and of each target's region of interest, and the tile of the last hit.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Searched {
     partitions: Vec<LastSearch>,
     high_resolution: Vec<LastSearch>,
     targets: BTreeMap<usize, u64>,
     last_hit: Option<usize>,
-    /// The last frame in which anything was searched, and in which a tile was.
+    /// The last frame with any search, and the last one with a search of a tile.
     last: Option<u64>,
     last_of_tile: Option<u64>,
 }
@@ -28,7 +27,7 @@ struct LastSearch {
 }
 
 impl Searched {
-    /// Nothing was searched yet of so many partitions and high-resolution tiles.
+    /// Creates a record without searches for this many partitions and high-resolution tiles.
     pub fn new(partitions: usize, high_resolution_tiles: usize) -> Self {
         Self {
             partitions: vec![LastSearch::default(); partitions],
@@ -40,14 +39,14 @@ impl Searched {
         }
     }
 
-    /// Whether both are of as many tiles.
+    /// Whether both have the same numbers of tiles.
     pub fn has_tiles_of(&self, other: &Self) -> bool {
         self.partitions.len() == other.partitions.len()
             && self.high_resolution.len() == other.high_resolution.len()
     }
 
-    /// Notes that a view was cut and searched in frame number `frame`, which must rise from frame
-    /// to frame (also where the source begins anew). Tiles that do not exist are ignored.
+    /// Records that a view was cut and searched in frame number `frame`. The number must rise from
+    /// frame to frame, also after a new start of the source. Tiles that do not exist are ignored.
     pub fn record(&mut self, frame: u64, purpose: Purpose) {
         self.last = Some(frame);
         if let Some(tile) = self.tile_mut(purpose) {
@@ -58,10 +57,10 @@ impl Searched {
         }
     }
 
-    /// Notes how a tile was searched, which decides its [`Searched::next_window`].
+    /// Records the window of a tile's search, which determines its [`Searched::next_window`].
     ///
-    /// What counts is the last window used, not the number of searches: two frames may follow one
-    /// plan, and both search the tile with the same window.
+    /// The last window counts, not the number of searches. Two frames may follow one plan and
+    /// search the tile with the same window.
     pub fn record_window(&mut self, purpose: Purpose, search: Search) {
         if let Some(tile) = self.tile_mut(purpose) {
             tile.was_fine = search == Search::FineWindow;
@@ -77,8 +76,8 @@ impl Searched {
         }
     }
 
-    /// Notes the first view, in plan order, in which a marker of a configured body was found: where
-    /// it was a partition, that is the paper's n.
+    /// Records the first view, in plan order, with a marker of a configured body. If it was a
+    /// partition, that is the paper's n.
     pub fn hit(&mut self, purpose: Purpose) {
         if let Purpose::Partition(part) = purpose
             && part < self.partitions.len()
@@ -92,7 +91,8 @@ impl Searched {
         self.last_hit
     }
 
-    /// The frame in which this was last searched; `None`, which sorts before every frame, if never.
+    /// Frame of the last search of this view; `None`, which sorts before every frame, if there was
+    /// none.
     pub fn last_searched(&self, purpose: Purpose) -> Option<u64> {
         match purpose {
             Purpose::Roi(target) => self.targets.get(&target).copied(),
@@ -100,7 +100,7 @@ impl Searched {
         }
     }
 
-    /// How many frames in a row were searched without any of the tiles.
+    /// Number of consecutive frames in which no tile was searched.
     pub fn frames_without_tile(&self) -> u64 {
         match (self.last, self.last_of_tile) {
             (Some(last), Some(of_tile)) => last.saturating_sub(of_tile),

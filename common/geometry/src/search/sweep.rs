@@ -2,12 +2,12 @@
 
 use super::{Purpose, Searched};
 
-/// The tiles of two resolutions, each kind by when it was last searched: never, then longest ago,
-/// ties by index.
+/// The tiles of two resolutions, each kind by its last search: never, then longest ago, ties by
+/// index.
 ///
 /// Tiles of the partition that were never searched come first. Then the kinds take turns, so that
-/// all tiles of both are searched within a bounded number of frames, however few views a frame has
-/// time for.
+/// all tiles of both are searched within a bounded number of frames, even if a frame has time for
+/// few views.
 pub fn least_recently_searched(
     searched: &Searched,
     partitions: impl IntoIterator<Item = usize>,

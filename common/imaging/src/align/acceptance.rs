@@ -1,9 +1,9 @@
 //! All decisions about an alignment.
 //!
-//! [`super::evidence`] states what the image says; here it is decided whether that is enough. A
-//! pose is accepted where so few false ones would be that there are at most
-//! [`FALSE_POSES_PER_HOUR`] of each way to find one. How many poses are tried in an hour differs:
-//! anywhere, where a track predicts the body, or where markers were decoded.
+//! [`super::evidence`] measures the evidence in the image; this module decides whether it is
+//! enough. The limits allow at most [`FALSE_POSES_PER_HOUR`] for each way to find a pose. The
+//! number of tries in an hour differs: anywhere, where a track predicts the body, or where markers
+//! were decoded.
 
 use flockeye_geometry::pose::{
     FALSE_POSITION_M, FALSE_ROTATION_RAD, position_deviation_m, rotation_deviation_rad,
@@ -13,14 +13,14 @@ use nalgebra::Matrix6;
 use super::alignment::Alignment;
 use super::evidence::Evidence;
 
-/// False poses of a target, by 10 cm or 10 degrees, that each way to find one may give an hour.
+/// Most false poses of a target (by 10 cm or 10 degrees) in an hour, for each way to find one.
 const FALSE_POSES_PER_HOUR: f64 = 1.0;
 
-/// Share of the poses where no body is whose log odds exceed 0: with [`Evidence::log_odds`] above x
-/// it is this times e^-x (docs/results/decisions.md).
+/// Share of the poses without a body whose log odds exceed 0. The share with [`Evidence::log_odds`]
+/// above x is this times e^-x (docs/results/decisions.md).
 const POSITIVE_SHARE: f64 = 0.022;
 
-// How many poses are tried in an hour is assumed, not measured.
+// The numbers of tries in an hour are assumed, not measured.
 
 /// Poses tried in an hour where nothing predicts the body: ten in each second of searching.
 const ANYWHERE_PER_HOUR: f64 = 36_000.0;
@@ -31,34 +31,34 @@ const PREDICTED_PER_HOUR: f64 = 5_400.0;
 /// Poses tried in an hour where false markers were decoded: one in a thousand frames.
 const MARKED_PER_HOUR: f64 = 108.0;
 
-/// Times in an hour that a pose is chosen from several: a body is found anew each half minute.
+/// Choices between several poses in an hour: a body is found anew each half minute.
 const CHOICES_PER_HOUR: f64 = 120.0;
 
-// A pose is a measurement by itself if so many of its standard deviations are less than what makes
-// it a false one. docs/results/constants.md#precision has the curve.
+// Least number of standard deviations that fit into the limits of a false pose, for a pose that is
+// a measurement by itself. docs/results/constants.md#precision has the curve.
 
-/// Deviations within which an aligned pose must be right.
+/// Standard deviations within which an aligned pose must be right.
 const SIGMAS_OF_ALIGNMENT: f64 = 4.93;
-/// Deviations within which a pose by corners alone must be right. When the curve was read, both
-/// numbers were equal, and covariances of alignments had a factor of 3.1.
+/// Standard deviations within which a pose from corners alone must be right. When the curve was
+/// read, both numbers were equal, and covariances of alignments had a factor of 3.1.
 const SIGMAS_OF_CORNERS: f64 = 2.8;
 
-/// Least log odds of an accepted pose, if so many are tried in an hour where no body is.
+/// Least log odds of an accepted pose, for this many tries in an hour without a body.
 fn least_log_odds(tried_per_hour: f64) -> f64 {
     (POSITIVE_SHARE * tried_per_hour / FALSE_POSES_PER_HOUR).ln()
 }
 
-/// The log odds from which on a pose is accepted where nothing but the picture speaks for it.
+/// Least log odds of a pose that only the picture supports.
 pub fn least_log_odds_anywhere() -> f64 {
     least_log_odds(ANYWHERE_PER_HOUR)
 }
 
-/// The log odds from which on a pose is accepted where a track predicts the body.
+/// Least log odds of a pose where a track predicts the body.
 pub fn least_log_odds_predicted() -> f64 {
     least_log_odds(PREDICTED_PER_HOUR)
 }
 
-/// The log odds from which on a pose is accepted where markers were decoded that it has there.
+/// Least log odds of a pose that decoded markers support.
 pub fn least_log_odds_marked() -> f64 {
     least_log_odds(MARKED_PER_HOUR)
 }
@@ -68,14 +68,14 @@ pub fn least_lead() -> f64 {
     (CHOICES_PER_HOUR / FALSE_POSES_PER_HOUR).ln()
 }
 
-/// Whether an aligned pose with this covariance, position (m), then rotation vector (rad), is of
-/// use by itself. One that is less precise is only of use to a track, which knows the rest: its
-/// covariance says how much. One that is not finite is not precise.
+/// Whether an aligned pose with this covariance, position (m), then rotation vector (rad), is
+/// usable by itself. A less precise pose can only update a track, weighted by its covariance. A
+/// pose that is not finite is not precise.
 pub fn is_precise(covariance: &Matrix6<f64>) -> bool {
     is_within_false(covariance, SIGMAS_OF_ALIGNMENT)
 }
 
-/// Whether a pose by corners alone is of use by itself, by its covariance.
+/// Whether a pose from corners alone is usable by itself, by its covariance.
 pub fn is_precise_by_corners(covariance: &Matrix6<f64>) -> bool {
     is_within_false(covariance, SIGMAS_OF_CORNERS)
 }
@@ -86,27 +86,27 @@ fn is_within_false(covariance: &Matrix6<f64>, sigmas: f64) -> bool {
 }
 
 impl Alignment {
-    /// Whether the body is there, by the picture alone.
+    /// Whether the body is at the pose, from the picture alone.
     pub fn is_accepted(&self) -> bool {
         self.evidence.log_odds >= least_log_odds_anywhere()
     }
 
-    /// Whether the body is there, where a track predicts it. `prior_log_odds` speak for how it lies
-    /// to the prediction. Whether it is where the track expects it is for the filter to decide.
+    /// Whether the body is at the pose, where a track predicts it. `prior_log_odds` rate the
+    /// rotation from the prediction. The filter checks the position.
     pub fn is_accepted_with_track_prior(&self, prior_log_odds: f64) -> bool {
         self.evidence.log_odds + prior_log_odds >= least_log_odds_predicted()
     }
 
-    /// Whether the body is there, where markers were decoded at this pose. `prior_log_odds` speak
-    /// for what else is known: a mirror pose has its marker at the same place.
+    /// Whether the body is at the pose, where markers were decoded. `prior_log_odds` rate other
+    /// knowledge, because a mirror pose has its marker at the same place.
     pub fn is_accepted_with_markers(&self, prior_log_odds: f64) -> bool {
         self.evidence.log_odds + prior_log_odds >= least_log_odds_marked()
     }
 }
 
 impl Evidence {
-    /// Whether the facets beside the most informative one say that the body is there in this
-    /// attitude, and not in the one that is mirrored by that facet.
+    /// Whether the facets beside the most informative one support the body in this attitude, and
+    /// not in the one mirrored by that facet.
     pub fn is_unambiguous(&self) -> bool {
         self.log_odds_of_others >= least_lead()
     }
@@ -121,7 +121,7 @@ mod tests {
         let [marked, predicted, anywhere] =
             [MARKED_PER_HOUR, PREDICTED_PER_HOUR, ANYWHERE_PER_HOUR].map(least_log_odds);
         assert!(0.0 < marked && marked < predicted && predicted < anywhere && anywhere < 10.0);
-        // So many false poses are left of those that are tried.
+        // Share of the false poses that remain.
         let left = ANYWHERE_PER_HOUR * POSITIVE_SHARE * (-anywhere).exp();
         assert!((left - FALSE_POSES_PER_HOUR).abs() < 1e-9);
     }

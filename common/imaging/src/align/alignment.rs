@@ -1,29 +1,29 @@
-//! What an alignment is asked for and what it returns.
+//! Options and results of an alignment.
 
 use nalgebra::{Isometry3, Matrix6};
 
 use super::evidence::Evidence;
 
-/// How a body is aligned.
+/// Options of an alignment.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct AlignOptions {
     /// Expected standard deviation of the lens's point spread, pixels of the sphere image.
     pub blur_px: f64,
-    /// Pixels of the patch across a body at most: nearer ones are seen at a coarser resolution.
+    /// Most pixels of the patch across a body: nearer bodies are averaged to a coarser resolution.
     pub max_body_px: f64,
-    /// Gauss-Newton steps at most.
+    /// Most Gauss-Newton steps.
     pub max_iterations: usize,
-    /// Whether to fit with more blur first, for a start that may be off by more than half a cell.
+    /// Whether to fit with more blur first, for a start with an error above half a cell.
     pub coarse_first: bool,
-    /// Factor on the covariance, for errors that the pixels do not show: of lens and body.
+    /// Factor on the covariance for errors of lens and body, which the pixels do not show.
     pub covariance_scale: f64,
-    /// Factor on it for the coding: 1 for single pictures, or [`VIDEO_COVARIANCE_SCALE`].
+    /// Additional factor for the coding: 1 for single pictures, or [`VIDEO_COVARIANCE_SCALE`].
     pub coding_covariance_scale: f64,
 }
 
 /// Factor on the covariance in video, for errors that residuals do not show. A copied block is
-/// sharp, but may be shifted by a fraction of a pixel. By how much is read from a recording; others
-/// ask for less (docs/results/codings.md).
+/// sharp, but may be shifted by a fraction of a pixel. The factor comes from one recording; others
+/// need less (docs/results/codings.md).
 pub const VIDEO_COVARIANCE_SCALE: f64 = 3.1;
 
 impl Default for AlignOptions {
@@ -46,20 +46,20 @@ pub struct Alignment {
     pub camera_from_markers: Isometry3<f64>,
     /// Its covariance: position (m), then rotation vector (rad), in the camera frame's axes.
     pub covariance: Matrix6<f64>,
-    /// Whether the pose is of use by itself, see [`is_precise`](super::is_precise).
-    /// [`VIDEO_COVARIANCE_SCALE`] is left out: video scatters poses, and none was false in the
+    /// Whether the pose is usable by itself, see [`is_precise`](super::is_precise).
+    /// [`VIDEO_COVARIANCE_SCALE`] is not included: video scatters poses, and none was false in the
     /// flights of docs/results/codings.md.
     pub is_precise: bool,
     /// Variance of the point spread along the apparent motion, less that across it, pixels of the
-    /// sphere image squared. `None` without a known motion. It shows how long the exposure was.
+    /// sphere image squared. `None` without a known motion. It depends on the exposure time.
     pub stretch_px2: Option<f64>,
-    /// How well the cells agree with the image, with uniform radiance on each facet.
+    /// Agreement of the cells with the image, with uniform radiance on each facet.
     pub evidence: Evidence,
-    /// The share of the samples for which no occlusion was found.
+    /// Share of the samples without an occlusion.
     pub visible_share: f64,
 }
 
-/// Why nothing was aligned.
+/// Reason why nothing was aligned.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 pub enum AlignError {
     /// The view does not show the place, or the pose or the view is not finite.

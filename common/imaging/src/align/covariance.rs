@@ -9,9 +9,10 @@
 //!    would be the factor if the errors were alike everywhere. But they lie along an arm's edge or
 //!    over one facet, and move the pose less. So only its power [`CORRELATION_EXPONENT`] is taken,
 //!    times [`CORRELATION_FACTOR`].
-//! 3. **Degrees of freedom**: residuals are smaller than the noise by what the unknowns absorb.
-//! 4. **Wandering**. Where little of a body is seen, a fit may wander through a flat valley. Then the
-//!    pose is less certain than the parabola of the normal matrix says ([`WANDERING`]).
+//! 3. **Degrees of freedom**: residuals are smaller than the noise, because the unknowns absorb a
+//!    part.
+//! 4. **Wandering**. Where little of a body is seen, a fit may wander through a flat valley. Then
+//!    the covariance exceeds that of the normal matrix ([`WANDERING`]).
 //!
 //! A cluster-robust covariance, which estimates the correlation for each unknown, has only a few
 //! dozen blocks to estimate it from. It was too small by a factor of two.
@@ -43,11 +44,11 @@ const MIN_UNEXPLAINED_SHARE: f64 = 0.5;
 /// Covariance of the pose in the patch's axes: position (m), then rotation vector (rad). `None`
 /// where most residuals are outliers, or the result is not finite.
 ///
-/// `residuals` are those of the set's samples, `None` where a sample says nothing. `normal` is the
+/// `residuals` are those of the set's samples, `None` where a sample is not usable. `normal` is the
 /// normal matrix, factored, and `from_samples` its part that comes from samples, not from priors.
-/// `explained` is how much of the residuals' weighted squares, in standard deviations, the last
-/// step explains, priors included. `wandered` is how far the pose moved after its first steps, the
-/// sum of all steps, in standard deviations of the inverse normal matrix.
+/// `explained` is the part of the residuals' weighted squares, in standard deviations, that the
+/// last step explains, priors included. `wandered` is the motion of the pose after its first steps:
+/// the sum of all steps, in standard deviations of the inverse normal matrix.
 pub(super) fn pose_covariance(
     set: &SampleSet,
     patch: &Patch,
@@ -70,7 +71,7 @@ pub(super) fn pose_covariance(
         })
         .collect();
     let correlation = residual_correlation(patch.width, patch.height, &influences);
-    // Effective degrees of freedom of a ridge regression: of each unknown, the share that samples
+    // Effective degrees of freedom of a ridge regression: the share of each unknown that samples
     // determine and priors do not.
     let independent = influences.len() as f64 / correlation;
     let absorbed = inverse.component_mul(from_samples).sum();

@@ -1,4 +1,4 @@
-//! A body's pixels beside those of its model, for people who want to see what alignment sees.
+//! A body's pixels beside those of its model, so that people can check an alignment.
 
 use nalgebra::{Isometry3, Vector2};
 
@@ -12,7 +12,7 @@ use super::state::State;
 use super::{PreparedView, blur_margin_px};
 use crate::light::LinearLight;
 
-/// The part of a picture that shows a body, and what the model says that it should show.
+/// The part of a picture that shows a body, and the picture that the model predicts.
 ///
 /// Rows of `width` values follow each other, as radiance.
 #[derive(Debug, Clone, PartialEq)]
@@ -21,18 +21,18 @@ pub struct Depiction {
     pub width: usize,
     /// Rows.
     pub height: usize,
-    /// What the picture shows, at the resolution that alignment works with.
+    /// Pixels of the picture, at the resolution of the alignment.
     pub picture: Vec<f32>,
     /// The picture with the body drawn over it. Lens and motion blur the body, and its facets have
     /// the levels that explain the picture best.
     pub model: Vec<f32>,
-    /// How well both agree at this very pose, which is not fitted.
+    /// Agreement of both at this pose, which is not fitted.
     pub evidence: Evidence,
 }
 
 impl Depiction {
     /// Picture, model and residual side by side, as code values: rows of three times `width`
-    /// values. The residual is grey where both agree.
+    /// values. The residual is grey where both are equal.
     pub fn panels(&self, light: &LinearLight) -> Vec<u8> {
         let code = |radiance: f32| light.code_of(f64::from(radiance)).clamp(0.0, 255.0);
         let row = |row: usize| {

@@ -1,23 +1,23 @@
-//! What the image says about whether an aligned body is there: facts, no decisions.
+//! The evidence in the image for an aligned body, without decisions.
 //!
 //! All markers have a white margin and a black border, so a wrong body that is aligned with the
-//! right one's borders correlates with 0.7 of the image. Only the cells within the border tell
-//! markers apart. So margin, border and the mean of the cells are regressed out, and what is left
-//! of the image is correlated with what is left of the cells' pattern, facet by facet. This is a
-//! partial correlation.
+//! right one's borders correlates with 0.7 of the image. Only the cells within the border
+//! distinguish markers. So margin, border and the mean of the cells are regressed out. The rest of
+//! the image is correlated with the rest of the cells' pattern, facet by facet. This is a partial
+//! correlation.
 //!
 //! # Log odds
 //!
 //! Two explanations compete for each facet. With the body there, its radiance is that of white
-//! paper, less what print takes from it. Something else may have any margin, border and mean, and
-//! the rest is noise. Both leave residuals of unknown variance, so with n independent values the
-//! log of their likelihood ratio is n/2 ln(q), with q the ratio of the sums of squares. A facet may
-//! also be hidden, and says nothing then: so one whose pattern the picture does not show counts
-//! against the body, but not without limit.
+//! paper, reduced by print. Something else may have any margin, border and mean, and the rest is
+//! noise. Both leave residuals of unknown variance, so with n independent values the log of their
+//! likelihood ratio is n/2 ln(q), with q the ratio of the sums of squares. A facet may also be
+//! hidden. So a facet without its pattern in the picture counts against the body only up to a
+//! limit.
 //!
 //! A marker has as many values as cells, and they are not independent: textures are smooth, and
-//! alignment has chosen the pose that fits best. How many count was read from a curve
-//! ([`INDEPENDENT_SHARE`]).
+//! alignment has chosen the pose that fits best. The number of independent values comes from a
+//! curve ([`INDEPENDENT_SHARE`]).
 
 use nalgebra::{Matrix5, Vector5};
 
@@ -29,37 +29,37 @@ use super::state::State;
 
 /// Least coverage of a compared pixel by its facet: two blurs inside its edges.
 const MIN_COVERAGE: f32 = 0.977;
-/// Least pattern that blur must leave of the cells, variance per pixel, black being 1.
+/// Least variance of the cells' pattern per pixel after the blur, with black as 1.
 const MIN_PATTERN: f64 = 1e-3;
 
-/// Least share of white paper's radiance that print takes from it. Black print reflects a twentieth
-/// of the light, and a veil of stray light or a wrong tone curve may add several times as much.
+/// Least share of white paper's radiance that print removes. Black print reflects a twentieth of
+/// the light. Stray light or a wrong tone curve may add several times as much.
 const MIN_PRINT_CONTRAST: f64 = 0.5;
-/// Black print reflects no less than nothing, but a fit may say so.
+/// Largest share that print removes: a fit may give less than zero radiance to black.
 const MAX_PRINT_CONTRAST: f64 = 1.1;
-/// What even a right model leaves, share of white: light changes along a facet.
+/// Error even of a right model, share of white: light changes along a facet.
 const MODEL_ERROR: f64 = 0.03;
-/// Prior probability that a facet of a body is hidden, so that its pixels say nothing.
+/// Prior probability that a facet of a body is hidden, so that its pixels contain no information.
 const HIDDEN: f64 = 0.1;
 /// Independent values for each cell of a marker.
 ///
-/// Read from where bodies are not (docs/results/constants.md#evidence): of 17,203 poses that
+/// It comes from pictures without bodies (docs/results/constants.md#evidence). Of 17,203 poses that
 /// alignment found there, the number above x fell by e for each 5.3 of the log odds with one value
 /// for each cell. With this share it falls as e^-x.
 const INDEPENDENT_SHARE: f64 = 0.19;
 
-/// How well the cells of the facets that face the camera agree with the image.
+/// Agreement with the image of the cells on the facets that face the camera.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Evidence {
-    /// Mean normalized correlation of the cells with the image over the facets, weighted by how
-    /// much of the cells' pattern each facet shows.
+    /// Mean normalized correlation of the cells with the image over the facets, weighted by the
+    /// visible part of each facet's pattern.
     pub correlation: f64,
     /// Log of the likelihood ratio of the body against something else, summed over facets.
     pub log_odds: f64,
-    /// The part of it that the facets beside the most informative one have. Two poses that are
+    /// Part of the log odds from the facets other than the most informative one. Two poses that are
     /// mirror images by that facet differ in this.
     pub log_odds_of_others: f64,
-    /// Number of facets that agree: whose log odds are positive.
+    /// Number of facets with positive log odds.
     pub agreeing_facets: u32,
     /// The facet with the largest log odds, if any are positive.
     pub most_informative_facet: Option<u32>,
@@ -92,7 +92,7 @@ impl Evidence {
 #[derive(Debug, Clone, Copy)]
 struct FacetFit {
     correlation: f64,
-    /// How much of the cells' pattern the facet shows: its sum of squares.
+    /// Visible part of the cells' pattern: its sum of squares.
     pattern: f64,
     /// Log of the likelihood ratio of the visible facet against something else.
     log_odds: f64,
@@ -107,8 +107,9 @@ struct Products {
 
 /// Compares a state with `samples` of all facets, of which `samples_per_pixel` count as one.
 ///
-/// Returns the evidence, and of each facet whether something else explains it better, by pixels
-/// that show nothing else. Occlusion is judged by these: an occluder's soft edge moves bodies less.
+/// Returns the evidence, and for each facet whether something else explains it better. That follows
+/// from pixels that show the facet alone, and is used for occlusion: they are less affected by an
+/// occluder's soft edge.
 pub(super) fn compare(
     patch: &Patch,
     print: &BodyPrint,
@@ -117,7 +118,7 @@ pub(super) fn compare(
     samples_per_pixel: f64,
 ) -> (Evidence, Vec<bool>) {
     let scene = Scene::new(print, state, patch);
-    // Pixels that show hardly anything but the facet, and those that show nothing else.
+    // Sums over pixels with little beside the facet, and over those with the facet alone.
     let mut covered = vec![Products::default(); print.facets.len()];
     let mut inside = covered.clone();
     for sample in samples {
@@ -153,8 +154,8 @@ pub(super) fn compare(
     (Evidence::of_facets(&fits), disagreeing)
 }
 
-/// How black a pixel seems of which the share `black` is, where white paper with this level
-/// saturates the sensor: white has grown over the edges of what is black.
+/// Apparent black of a pixel with the share `black`, where white paper with this level saturates
+/// the sensor. Then white has grown over the edges of black.
 fn seen_black(black: f64, [white_level, black_level]: [f64; 2], saturation: f64) -> f64 {
     if white_level <= saturation || black_level >= saturation {
         return black;
@@ -169,10 +170,10 @@ impl Products {
         self.count += 1;
     }
 
-    /// How well the print explains these pixels of a facet. `None` where they are too few, the blur
-    /// leaves nothing of the pattern, or the radiance is nowhere above 0.
+    /// Fit of the print to these pixels of a facet. `None` where they are too few, the blur leaves
+    /// no pattern, or the radiance is nowhere above 0.
     fn fit(&self, printed: &PrintedFacet, samples_per_pixel: f64) -> Option<FacetFit> {
-        // So few are explained by anything.
+        // Any model explains this few pixels.
         if self.count as usize <= self.matrix.nrows() {
             return None;
         }
@@ -206,7 +207,8 @@ impl Products {
     }
 
     /// Log of the likelihood ratio of the print against something else with the same border and
-    /// mean. So many values are `independent`; something else leaves the squares `unexplained`.
+    /// mean. `independent` is the number of independent values, `unexplained` the sum of squares
+    /// left by something else.
     ///
     /// Both leave residuals of unknown variance, so the ratio is that of their sums of squares.
     /// `None` where the radiance is nowhere above 0.

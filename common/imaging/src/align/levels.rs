@@ -8,10 +8,11 @@ use super::robust::facet_sigmas;
 use super::samples::Sample;
 use super::state::{BLACK_SHARE_PRIOR, COMMON, Layout, State};
 
-/// Two numbers for each facet need no more samples than about this.
+/// Enough samples for two numbers of each facet.
 const MAX_SAMPLES: usize = 1500;
 
-/// A saturated pixel whose model has at least this share of its radiance says nothing.
+/// Share of a saturated pixel's radiance above which its model is consistent, so that the pixel is
+/// not used.
 const SATURATED_SHARE: f64 = 0.9;
 
 /// Finds the white and black levels that explain the samples best, by linear least squares, and
@@ -46,7 +47,7 @@ pub(super) fn fit_levels(
     Some(facet_sigmas(&samples, &residuals, state.levels.len()))
 }
 
-/// What each sample shows of each level.
+/// Share of each level in each sample.
 struct Rows {
     shares: Vec<FacetShares>,
     /// Radiance of each sample without the background's part.
@@ -104,7 +105,7 @@ impl Rows {
         Some(normal.cholesky()?.solve(&right))
     }
 
-    /// What a sample should have of the levels, without the background's part.
+    /// Modelled radiance of a sample from the levels, without the background's part.
     fn modelled(&self, k: usize, levels: &DVector<f64>) -> f64 {
         let (row, used) = &self.shares[k];
         row[..*used]

@@ -1,15 +1,15 @@
 //! Aligns the whole body with the image.
 //!
-//! Corners use only the four edges of a marker. Alignment uses everything that is printed: it
-//! models the radiance of the view's pixels for a pose of the body, blurred as by the lens and by
-//! motion, and changes pose, blur and radiance of the facets until both agree (Gauss-Newton). It
-//! needs no decoded marker, only a start that is off by about half a cell at most. The idea is that
-//! of DodecaPen (Wu et al., UIST 2017), applied to bodies of flat facets. The model is in closed
-//! form, so no picture of the body is rendered.
+//! Corners use only the four edges of a marker. Alignment uses the whole print. It models the
+//! radiance of the view's pixels for a pose of the body, blurred by lens and motion. Gauss-Newton
+//! changes pose, blur and radiance of the facets until both match. It needs no decoded marker, only
+//! a start that is off by about half a cell at most. The idea is that of DodecaPen (Wu et al., UIST
+//! 2017), applied to bodies of flat facets. The model is in closed form, so no picture of the body
+//! is rendered.
 //!
 //! | module | what it answers |
 //! | --- | --- |
-//! | `alignment` | what is asked for, and what is returned |
+//! | `alignment` | options and results |
 //! | `print` | what is printed on a body |
 //! | `patch`, `pinhole` | what radiance the view shows around the body, and where its pixels look |
 //! | `state` | the unknowns, their places in the normal equations, their priors |
@@ -20,7 +20,7 @@
 //! | `normal_equations`, `solve` | which pose explains the pixels best |
 //! | `occlusion` | what is occluded by something in front of the body |
 //! | `covariance` | how precise the pose is |
-//! | `evidence` | how well the cells agree with the image |
+//! | `evidence` | how well the cells match the image |
 //! | `acceptance` | whether that is enough: all decisions and their limits |
 //! | `reacquire` | where to start when the body is not where it was predicted |
 //! | `depiction` | the body's pixels beside those of its model, for people |
@@ -66,36 +66,36 @@ use samples::Sample;
 use solve::BodyFit;
 use state::{Prior, State};
 
-/// [`reacquire`] finds a body up to this far from its prediction, radians.
+/// Largest angle between a body and its prediction for [`reacquire`], radians.
 pub const REACQUIRE_RADIUS_RAD: f64 = 0.014;
 /// Extra blur of that search, in cells of the smallest marker.
 const REACQUIRE_BLUR_CELLS: f64 = 0.6;
 /// The patch shows this much background beside the body, in standard deviations of blur.
 const PATCH_MARGIN_BLURS: f64 = 4.0;
-/// The direction of the motion is that of the path in so short a time, seconds.
+/// Time of the path that gives the direction of the motion, seconds.
 const MOMENT_S: f64 = 1e-3;
-/// A motion that is slower than this, pixels of the patch in that time, has no direction.
+/// Least motion with a direction, pixels of the patch in that time.
 const MIN_MOTION_PX: f64 = 1e-3;
 /// Extra blur of the coarse fit, cells of the smallest marker. More lets the background bleed in.
 const COARSE_BLUR_CELLS: f64 = 0.45;
 const COARSE_ITERATIONS: usize = 6;
-/// Fits without the parts that turn out to be occluded, at most.
+/// Most fits without the parts that prove to be occluded.
 const MAX_REFITS: usize = 2;
 /// Standard deviation of the error that all edges share, pixels of the sphere image.
 const COMMON_EDGE_SIGMA_PX: f64 = 0.012;
 /// The covariance is multiplied by 1 + this times the square of the occluded share.
 ///
 /// An occluder shows through the point spread along its rim, beyond the pixels that are left out.
-/// On simulated flights NEES without this factor was 5 where more than 40 % was occluded, and 2.4
-/// where nothing was. With it NEES is 2.4 to 3.4 everywhere.
+/// On simulated flights NEES without this factor was 5 with more than 40 % occluded, and 2.4
+/// without occlusion. With it NEES is 2.4 to 3.4 everywhere.
 const OCCLUSION_RIM: f64 = 3.0;
 
 /// Aligns `print` with a picture, from the pose `start` (`camera_from_markers`).
 ///
-/// Whether the result is the body is decided by [`Alignment::is_accepted`] and its siblings.
+/// [`Alignment::is_accepted`] and its siblings decide whether the result is the body.
 ///
 /// # Errors
-/// [`AlignError`]: nothing to compare there, or input that is not finite.
+/// [`AlignError`]: no pixels to compare, or input that is not finite.
 pub fn align(
     print: &BodyPrint,
     picture: &Picture<'_>,
@@ -138,8 +138,8 @@ pub fn reacquire(
         .max_by(|a, b| a.evidence.log_odds.total_cmp(&b.evidence.log_odds))
 }
 
-/// Poses (`camera_from_markers`) from which alignment may find `print` at a `place`, in any
-/// attitude: the likeliest of each kind of template first. `templates` are those of the print.
+/// Start poses (`camera_from_markers`) for alignment of `print` at a `place`, in any attitude: the
+/// likeliest of each kind of template first. `templates` belong to the print.
 ///
 /// They need [`AlignOptions::coarse_first`]. None where the picture does not show the place.
 pub fn starts_at(
@@ -177,7 +177,7 @@ fn blur_margin_px(blur: &Matrix2<f64>) -> f64 {
     PATCH_MARGIN_BLURS * blur.diagonal().max().max(0.0).sqrt()
 }
 
-/// The part of a view that shows a body, and what is expected of its blur.
+/// The part of a view that shows a body, and the expected blur.
 struct PreparedView {
     patch: Patch,
     prior: Prior,
@@ -273,8 +273,8 @@ impl PreparedView {
         }
     }
 
-    /// Fits the body, then again without the facets that turn out to be occluded: an arm in front
-    /// of a facet is dark, and makes the body seem nearer than it is.
+    /// Fits the body, then again without the occluded facets. An arm in front of a facet is dark,
+    /// and makes the body appear nearer.
     fn fit_visible(
         &self,
         print: &BodyPrint,

@@ -12,11 +12,11 @@
 //! | w, b | white and black level of the facet |
 //! | B | radiance of the background, where the facets leave part of the pixel uncovered |
 //!
-//! The background is measured beside the body. Taken as black, it biased the range by 0.1 %.
+//! The background is measured beside the body. A black background would bias the range by 0.1 %.
 //!
 //! Each seam between two facets may add or take away some radiance. Paper has thickness, folds are
-//! round, and the place where one facet's white ends is known to a millimetre at best. Without this
-//! line, a seam biased the range by a tenth of a percent.
+//! round, and the end of one facet's white is known to a millimetre at best. Without this line, a
+//! seam biased the range by a tenth of a percent.
 //!
 //! Cameras and codecs smooth code values too, which moves edges towards the bright side. That *code
 //! blur* is one more unknown.
@@ -50,7 +50,7 @@ pub(super) struct Scene<'p> {
     pub code_bend: f64,
 }
 
-/// Number, blurred white and black share of each facet in a pixel, and how many facets there are.
+/// Number, blurred white and black share of each facet in a pixel, and the number of facets.
 pub(super) type FacetShares = ([(usize, f64, f64); MAX_FACETS], usize);
 
 impl<'p> Scene<'p> {
@@ -136,7 +136,7 @@ impl Modelled {
 /// Models one pixel that lies on the first of `facets` and also shows the others.
 ///
 /// `seams` are (edge of the first facet, seam) within reach of the pixel, `background` is the
-/// radiance next to the body. How a faint seam's line moves with the pose is left out.
+/// radiance next to the body. The motion of a faint seam's line with the pose is left out.
 #[inline(always)]
 pub(super) fn model(
     scene: &Scene<'_>,
@@ -210,7 +210,7 @@ pub(super) fn model(
     modelled
 }
 
-/// How far the rim of a body moves from one pose to another, pixels.
+/// Motion of the body's rim from one pose to another, pixels.
 pub(super) fn rim_shift_px(
     from: &Isometry3<f64>,
     to: &Isometry3<f64>,

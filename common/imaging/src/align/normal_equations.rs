@@ -16,14 +16,15 @@ use super::state::{COMMON, Layout, State};
 const INSIDE: usize = LEVELS + 2 + 1;
 /// Length of the row of a pixel that shows up to three facets: six levels and two seams.
 const ACROSS: usize = LEVELS + 6 + 2 + 1;
-/// Where the levels begin in a row.
+/// Index of the first level in a row.
 const LEVELS: usize = COMMON + 2;
 
 /// The normal equations `normal * step = right`.
 pub(super) struct PoseEquations {
     pub normal: DMatrix<f64>,
     pub right: DVector<f64>,
-    /// Residual of each sample, radiance; `None` where a sample says nothing ([`Sample::counted`]).
+    /// Residual of each sample, radiance; `None` where a sample is not usable
+    /// ([`Sample::counted`]).
     pub residuals: Vec<Option<f32>>,
 }
 
@@ -67,7 +68,7 @@ impl<const ROW: usize> Block<ROW> {
 
     #[inline(always)]
     fn add(&mut self, row: &[f32; ROW], weight: f32) {
-        // The whole matrix, although half would do, so that the compiler can vectorize it.
+        // The whole matrix is summed, not half of it, so that the compiler can vectorize it.
         for (products, first) in self.products.iter_mut().zip(row) {
             let weighted = weight * first;
             for (product, second) in products.iter_mut().zip(row) {

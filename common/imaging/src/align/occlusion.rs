@@ -6,7 +6,7 @@
 //!
 //! - Pixels with large residuals are left out, with all pixels that the point spread mixes with
 //!   them.
-//! - Facets whose cells do not agree with the image are left out as a whole ([`occluded_facets`]).
+//! - Facets whose cells do not match the image are left out as a whole ([`occluded_facets`]).
 
 use super::patch::Patch;
 use super::print::{BodyPrint, PrintedFacet};
@@ -15,7 +15,7 @@ use super::samples::Sample;
 use super::state::State;
 use crate::occluded::{least_residual, mark_disc, reach_px};
 
-/// What is left out of a fit.
+/// Parts that a fit leaves out.
 #[derive(Debug)]
 pub(super) struct Occlusion {
     /// Whether each pixel of the patch is left out; empty if none is.
@@ -86,9 +86,10 @@ impl Occlusion {
     }
 }
 
-/// The facets that disagree ([`super::evidence::compare`]), and blank facets next to them.
+/// The facets whose cells do not match the image ([`super::evidence::compare`]), and blank facets
+/// next to them.
 ///
-/// `None` if no facet is occluded, or if none agrees: then the body may not be there.
+/// `None` if no facet is occluded, or if none matches: then the body may not be there.
 pub(super) fn occluded_facets(
     print: &BodyPrint,
     agreeing_facets: u32,

@@ -19,14 +19,14 @@ pub struct Picture<'p> {
     pub view: View,
     /// The radiance that each code value stands for.
     pub light: &'p LinearLight,
-    /// Resolution of the sphere image there. A view magnified beyond it has no more detail.
+    /// Resolution of the sphere image at the body. A view magnified beyond it has no more detail.
     pub pixels_per_radian: f64,
-    /// How the body moves during the exposure, as far as that is known.
+    /// Motion of the body during the exposure, as far as it is known.
     pub motion: Motion,
 }
 
 impl<'p> Picture<'p> {
-    /// A view of a body of whose motion nothing is known.
+    /// A view of a body with unknown motion.
     pub fn still(
         image: LumaImage<'p>,
         view: View,
@@ -37,12 +37,12 @@ impl<'p> Picture<'p> {
     }
 }
 
-/// How a body moves across the line of sight during the exposure.
+/// Motion of a body across the line of sight during the exposure.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Motion {
-    /// Apparent velocity of its middle in the camera's axes, rad/s. Zero where it is not known.
+    /// Apparent velocity of its middle in the camera's axes, rad/s. Zero if it is not known.
     pub rate_in_camera: Vector3<f64>,
-    /// How long the picture was exposed, seconds; 0 where it is not known.
+    /// Exposure time, seconds; 0 if it is not known.
     pub exposure_s: f64,
 }
 
@@ -52,15 +52,15 @@ pub(super) struct Patch {
     pub width: usize,
     pub height: usize,
     pub radiance: Vec<f32>,
-    /// Whether a pixel is saturated: its radiance is at least what is stated.
+    /// Whether a pixel is saturated: its radiance is at least the stated value.
     saturated: Vec<bool>,
     pub pinhole: Pinhole,
     pub view_from_camera: UnitQuaternion<f64>,
-    /// Radiance from which on the sensor says no more.
+    /// Radiance at which the sensor saturates.
     pub saturation: f64,
     /// Curvature of the camera's curve; see [`LinearLight::bend`].
     pub code_bend: f64,
-    /// Standard deviation of the Gaussian that the patch was blurred with, pixels.
+    /// Standard deviation of the Gaussian that blurred the patch, pixels.
     pub extra_blur_px: f64,
 }
 
@@ -81,7 +81,7 @@ impl Patch {
         let view_from_camera = view.camera_from_view.inverse();
         let middle = view_from_camera * camera_from_markers.translation.vector;
         let range = middle.norm();
-        // Written so that a NaN gives no patch.
+        // In this form a NaN gives no patch.
         if !(middle.z > 0.05 * range && range > radius_m) {
             return None;
         }
@@ -148,13 +148,13 @@ impl Patch {
         })
     }
 
-    /// The radiance of a pixel; at least so much where it is saturated.
+    /// The radiance of a pixel; a lower bound where it is saturated.
     #[inline]
     pub fn at(&self, x: usize, y: usize) -> f32 {
         self.radiance[y * self.width + x]
     }
 
-    /// Whether the radiance of a pixel may be more than is stated.
+    /// Whether the radiance of a pixel may exceed the stated value.
     #[inline]
     pub fn is_saturated(&self, x: usize, y: usize) -> bool {
         self.saturated[y * self.width + x]

@@ -1,4 +1,4 @@
-//! A pinhole camera: where the pixels of a patch look.
+//! A pinhole camera: the directions of a patch's pixels.
 
 use nalgebra::{Vector2, Vector3};
 

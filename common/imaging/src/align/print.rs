@@ -11,7 +11,7 @@ use crate::edges::MarkerPrint;
 /// Most cells along a side of a marker, its border included, that alignment can model.
 pub const MAX_CELLS: usize = 16;
 
-/// Corners of two facets nearer than this are the same, metres: bodies are measured no better.
+/// Distance below which corners of two facets are the same, metres: bodies are measured no better.
 const SAME_CORNER_M: f64 = 5e-4;
 
 /// The printed surface of a body, in the markers' frame.
@@ -49,7 +49,7 @@ pub(super) struct Cells {
     pub black: Vec<f32>,
 }
 
-/// Why a body cannot be modelled.
+/// Reason why a body cannot be modelled.
 #[allow(missing_docs, reason = "the messages say what each is")]
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum PrintError {

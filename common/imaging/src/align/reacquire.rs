@@ -1,9 +1,9 @@
 //! Finds a tracked body near its prediction where alignment from the prediction failed.
 //!
 //! The print is modelled in seven attitudes around the predicted one, with more blur, and shifted
-//! over the patch. Each position is rated by how much of the image the print explains, beyond what
-//! plain facets explain. The best positions are aligned. The model of an attitude is computed once
-//! and its least squares are factored once, so a shift costs one product per pixel.
+//! over the patch. Each position is rated by the part of the image that the print explains beyond
+//! plain facets. The best positions are aligned. The model of an attitude is computed once and its
+//! least squares are factored once, so a shift costs one product per pixel.
 
 use nalgebra::{DMatrix, DVector, Isometry3, UnitQuaternion, Vector3};
 
@@ -13,15 +13,15 @@ use super::print::BodyPrint;
 use super::samples::{self, Sample};
 use super::state::State;
 
-/// Attitudes that are tried differ from the prediction by this about one axis, radians.
+/// Rotation of a tried attitude from the prediction about one axis, radians.
 const TURN_RAD: f64 = 0.14;
-/// Samples of a model: a blurred body is not located better by more.
+/// Samples of a model: more do not locate a blurred body better.
 const SAMPLES: usize = 400;
-/// A model needs at least this many.
+/// Least samples of a model.
 const MIN_SAMPLES: usize = 40;
 /// Candidates kept of each attitude, and in all.
 const MAX_CANDIDATES: usize = 3;
-/// Ridge of the least squares, so that a facet with hardly any samples can be solved for, too.
+/// Ridge of the least squares, so that facets with hardly any samples have a solution too.
 const RIDGE: f64 = 1e-3;
 /// Steps between positions, relative to the extra blur.
 const STEP_BLURS: f64 = 0.7;
@@ -50,13 +50,13 @@ pub(super) fn candidates(
     found.into_iter().map(|(pose, _)| pose).collect()
 }
 
-/// Keeps the candidates that explain most, best first.
+/// Keeps the candidates with the largest explained part, best first.
 fn keep_best(candidates: &mut Vec<(Isometry3<f64>, f64)>) {
     candidates.sort_by(|a, b| b.1.total_cmp(&a.1));
     candidates.truncate(MAX_CANDIDATES);
 }
 
-/// The predicted attitude, and one turn either way about each axis.
+/// The predicted attitude, and one rotation either way about each axis.
 fn attitudes() -> impl Iterator<Item = UnitQuaternion<f64>> {
     let about = |axis: Vector3<f64>| [axis, -axis].map(UnitQuaternion::from_scaled_axis);
     let axes = [Vector3::x(), Vector3::y(), Vector3::z()];
@@ -132,7 +132,8 @@ impl BodyModel {
         found
     }
 
-    /// What the shifted model explains beyond plain facets. `None` where much leaves the patch.
+    /// Part of the image that the shifted model explains beyond plain facets. `None` where much of
+    /// it leaves the patch.
     fn explained(&self, patch: &Patch, dx: isize, dy: isize) -> Option<f64> {
         let mut full = DVector::zeros(2 * self.facets);
         let mut plain = DVector::zeros(self.facets);

@@ -13,12 +13,14 @@ const MIN_SIGMA: f64 = 1.5e-3;
 const MAX_RELATIVE_SIGMA: f64 = 3.0;
 /// A facet with fewer samples than this takes the residual sigma of all samples together.
 const MIN_SAMPLES_FOR_SIGMA: usize = 20;
-/// Least mean slope of the influence function over the mean weight: fewer are mostly outliers.
+/// Least ratio of the influence function's mean slope to the mean weight: below, most residuals are
+/// outliers.
 const MIN_INFLUENCE_SLOPE: f64 = 0.2;
-/// Residuals correlate with neighbours up to so many pixels; farther, the sum gathers noise.
+/// Largest distance of neighbours for the correlation of residuals, pixels; farther, the sum
+/// gathers noise.
 const CORRELATION_REACH_PX: usize = 2;
 
-/// A residual r, squared, over the scale of Cauchy's function: its weight is 1 / (1 + this).
+/// Square of a residual r relative to the scale of Cauchy's function: its weight is 1 / (1 + this).
 /// `squared_sigmas` is (r / sigma)^2.
 #[inline(always)]
 pub(super) fn cauchy_term(squared_sigmas: f64) -> f64 {
@@ -34,7 +36,7 @@ pub(super) fn cauchy_term(squared_sigmas: f64) -> f64 {
 /// ```
 ///
 /// times the inverse normal matrix (Huber, "Robust Statistics", section 7.6). That factor is 0.92
-/// for normal noise and larger where outliers are left.
+/// for normal noise and larger with outliers.
 #[derive(Debug, Default)]
 pub(super) struct MEstimator {
     /// Sum of w.
@@ -67,8 +69,8 @@ impl MEstimator {
     }
 }
 
-/// How many samples carry the information of one, from the correlation of neighbouring residuals:
-/// the variance of a sum of n residuals r is n var(r) times this.
+/// Number of samples with the information of one independent sample, from the correlation of
+/// neighbouring residuals. The variance of a sum of n residuals r is n var(r) times this.
 ///
 /// It is 1 plus the sum of the correlations with all neighbours within [`CORRELATION_REACH_PX`]
 /// (the effective sample size of spatially correlated data; Cressie, "Statistics for Spatial Data",
@@ -100,7 +102,7 @@ pub(super) fn residual_correlation(
     (products / squares.max(f64::MIN_POSITIVE)).max(1.0)
 }
 
-/// Robust standard deviation of each facet's residuals; `None` for a sample that says nothing.
+/// Robust standard deviation of each facet's residuals; `None` for a sample that is not usable.
 pub(super) fn facet_sigmas(
     samples: &[Sample],
     residuals: &[Option<f32>],

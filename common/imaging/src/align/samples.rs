@@ -1,4 +1,4 @@
-//! The pixels of a patch that a body is fitted to.
+//! The pixels of a patch to which a body is fitted.
 
 use std::ops::Range;
 
@@ -11,23 +11,23 @@ use nalgebra::{Matrix3, Vector2, Vector3};
 
 // Distances from edges are in standard deviations of the point spread.
 
-/// An edge farther away than this is out of reach: what lies across it does not show in the pixel.
+/// Distance beyond which an edge has no effect on a pixel.
 const REACH: f32 = 3.0;
-/// Pixels nearer to the silhouette than this are left out, because they show too much of an unknown
-/// background.
+/// Margin along the silhouette, where pixels show too much of an unknown background.
 const SILHOUETTE_MARGIN: f32 = 2.5;
-/// Beyond this distance from an edge, the model has nothing of what lies across it.
+/// Distance from an edge beyond which the model has no part of the other side.
 const NO_INFLUENCE: f32 = 3.6;
-/// Large facets do without the pixels next to edges, where most model errors are: folds, gaps, arms
-/// and shadows that begin there. The margin grows from zero, where the middle of the facet is as
-/// far from its edges as the first of these, to [`NO_INFLUENCE`] at the second.
+/// Large facets leave out the pixels next to edges, where most model errors are: folds, gaps, arms
+/// and shadows. The margin grows from zero, where the middle of the facet is as far from its edges
+/// as the first of these, to [`NO_INFLUENCE`] at the second.
 const LARGE_FACET: (f32, f32) = (8.0, 16.0);
-/// The background is measured this far outside the silhouette, where nothing of the body shows.
+/// Distance outside the silhouette at which the background is measured, where nothing of the body
+/// shows.
 const BACKGROUND_DISTANCE: f32 = 3.0;
-/// Nearer than this to two edges, the facet across their corner shows as well.
+/// Distance to two edges below which the facet across their corner shows as well.
 const CORNER: f32 = 1.8;
 
-/// More samples than this cost time and add little information.
+/// Most samples: more cost time and add little information.
 const MAX_SAMPLES: usize = 1400;
 
 /// A pixel that shows a facet.
@@ -36,7 +36,7 @@ pub(super) struct Sample {
     pub x: u16,
     pub y: u16,
     pub radiance: f32,
-    /// Whether its radiance may be more than that.
+    /// Whether its radiance may exceed the stated value.
     pub is_saturated: bool,
     /// Radiance of the background next to the body, outside the nearest silhouette edge. The
     /// pixel's own radiance where no silhouette is within reach.
@@ -53,14 +53,14 @@ pub(super) struct Sample {
 const NONE: u8 = u8::MAX;
 
 impl Sample {
-    /// By how much it is brighter than its model, or `None` where that says nothing: a saturated
-    /// pixel is at least as bright as it seems.
+    /// Residual of the pixel: its radiance less the model's. `None` for a saturated pixel that is
+    /// consistent with its model.
     #[inline(always)]
     pub fn counted(&self, residual: f64) -> Option<f64> {
         (!self.is_saturated || residual > 0.0).then_some(residual)
     }
 
-    /// The direction of the pixel, scaled to depth 1.
+    /// Direction of the pixel, scaled to depth 1.
     #[inline]
     pub fn direction(&self, patch: &Patch) -> Vector3<f64> {
         patch.pinhole.direction(Vector2::new(f64::from(self.x), f64::from(self.y)))
@@ -80,7 +80,7 @@ impl Sample {
         edges.filter_map(|edge| Some((edge, neighbours[edge]?.1)))
     }
 
-    /// A key that is the same for samples that show the same facets.
+    /// A key that is equal for samples of the same facets.
     #[inline]
     pub fn shows(&self) -> [u8; 3] {
         [self.facet, self.edges[0], self.edges[1]]
@@ -100,7 +100,7 @@ pub(super) fn choose(patch: &Patch, scene: &Scene<'_>) -> Vec<Sample> {
     let visible = &scene.visible;
     let mut found: Vec<(u16, u16, u8, Reach)> = Vec::new();
     for (index, facet) in scene.print.facets.iter().enumerate() {
-        // Facets beyond number 254 are left out: no body has as many.
+        // Facets beyond number 254 are left out: no body has that many.
         let (Some((visible_facet, blurred_facet)), Ok(number)) =
             (scene.facet(index), u8::try_from(index))
         else {
@@ -204,7 +204,7 @@ fn columns_within(sides: &[Vector3<f64>], y: usize, columns: &Range<usize>) -> R
     first as usize..(last + 1.0).max(0.0) as usize
 }
 
-/// How large a facet is, from 0 to 1; see [`LARGE_FACET`].
+/// Size of a facet, from 0 to 1; see [`LARGE_FACET`].
 fn room(facet: &PrintedFacet, blurred: &BlurredFacet<'_>) -> f32 {
     let middle = Vector2::zeros();
     let depths = (0..facet.outline.len()).map(|edge| blurred.depth(edge, middle));
@@ -212,8 +212,7 @@ fn room(facet: &PrintedFacet, blurred: &BlurredFacet<'_>) -> f32 {
     room.clamp(0.0, 1.0)
 }
 
-/// Pixels nearer than this to an edge are left out, by the visible facet across it: there is none
-/// where the body ends.
+/// Margin along an edge, by the visible facet across it: there is none where the body ends.
 #[inline]
 fn margin(room: f32, across: Option<usize>) -> f32 {
     match across {
@@ -233,7 +232,7 @@ fn visible_across(
     visible[neighbour].is_some().then_some(neighbour)
 }
 
-/// The edges that a point of a facet is near to.
+/// The edges near a point of a facet.
 #[derive(Debug, Clone, Copy)]
 struct Reach {
     /// Edges within reach, and the facets across them.

@@ -21,18 +21,17 @@ use super::robust::facet_sigmas;
 use super::samples::{self, Sample};
 use super::state::{Layout, Prior, State, add_priors, apply_step};
 
-/// A step that moves the rim of the body by less than this, pixels, is the last: the next would be
-/// a fraction of it.
+/// Motion of the body's rim in the last step, pixels: the next step would be a fraction of it.
 const CONVERGED_PX: f64 = 0.03;
-/// After a step that moves the rim by less than this, large residuals are occlusions, not an error
-/// of the pose.
+/// Motion of the rim in a step below which large residuals are occlusions, not an error of the
+/// pose.
 const NEAR_CONVERGED_PX: f64 = 0.3;
-/// Samples are chosen again where the rim moved by more than this since they were chosen, pixels.
+/// Motion of the rim after which samples are chosen again, pixels.
 const RESAMPLE_SHIFT_PX: f64 = 0.5;
-/// Every fit takes more steps than this, because the blur settles later than the pose. A good start
-/// needs hardly more, so only what the pose still moves after them counts as wandering.
+/// Number of first steps whose motion is no wandering. Every fit takes more, because the blur
+/// settles later than the pose. A good start needs hardly more.
 const STRAIGHT_STEPS: usize = 2;
-/// A fit needs at least this many samples.
+/// Least number of samples of a fit.
 const MIN_SAMPLES: usize = 60;
 
 /// The result of a fit.
@@ -46,17 +45,16 @@ pub(super) struct BodyFit {
     pub covariance: Matrix6<f64>,
     /// The pixels that were fitted.
     pub samples: Vec<Sample>,
-    /// Whether these are all pixels of the facets that face the camera: no occlusion was found.
+    /// Whether these are all pixels of the facets that face the camera, without an occlusion.
     pub is_whole: bool,
-    /// The share of the samples for which no occlusion was found.
+    /// Share of the samples without an occlusion.
     pub visible_share: f64,
 }
 
 /// Fits a body to a patch, from `start`, using the facets that face the camera.
 ///
-/// Facets that are set in `occluded_facets` are left out (none if it is empty), and so are pixels
-/// that are found to be occluded. `None` where too little of the body is visible, or the fit does
-/// not converge.
+/// Facets that are set in `occluded_facets` are left out (none if it is empty), and so are occluded
+/// pixels. `None` where too little of the body is visible, or the fit does not converge.
 pub(super) fn fit(
     patch: &Patch,
     print: &BodyPrint,
@@ -136,8 +134,8 @@ pub(super) fn fit(
     None
 }
 
-/// How far a step moves the pose, its first six unknowns, in standard deviations of what the normal
-/// equations say of the pose (Mahalanobis distance). `None` where they do not determine it.
+/// Length of a step of the pose, the first six unknowns, in standard deviations by the normal
+/// equations (Mahalanobis distance). `None` where they do not determine the pose.
 fn in_deviations(step: &DVector<f64>, normal: &Cholesky<f64, Dyn>) -> Option<f64> {
     let of_pose = step.fixed_rows::<6>(0);
     let columns = normal.solve(&DMatrix::identity(step.len(), 6));
@@ -150,8 +148,8 @@ pub(super) fn all_samples(patch: &Patch, print: &BodyPrint, state: &State) -> Ve
     samples::choose(patch, &Scene::new(print, state, patch))
 }
 
-/// Fits the white and black levels of the facets that face the camera, at the pose that `state`
-/// has. Returns the samples; `None` where they are too few.
+/// Fits the white and black levels of the facets that face the camera, at the pose of `state`.
+/// Returns the samples; `None` where they are too few.
 pub(super) fn fit_levels_alone(
     patch: &Patch,
     print: &BodyPrint,

@@ -23,11 +23,11 @@ const SEAM_SIGMA_M: f64 = 6e-5;
 /// It is that of a facet three metres from a lamp: 2 % from the middle of a facet of 6 cm to its
 /// edge. Arms and hulls near the body shade more than that.
 const GRADIENT_SIGMA_PER_M: f64 = 0.7;
-/// Standard deviation of the variance that the path adds, as a share of it: track and gyroscope
-/// know the apparent velocity to some per cent.
+/// Standard deviation of the variance that the path adds, as a share of it: the apparent velocity
+/// from track and gyroscope is exact to some per cent.
 const PATH_UNCERTAINTY: f64 = 0.1;
-/// A path that is longer than this, in standard deviations of the lens's point spread, is no
-/// Gaussian.
+/// Longest path, in standard deviations of the lens's point spread, for which a Gaussian is a good
+/// model.
 const LONG_PATH_BLURS: f64 = 2.0;
 /// Narrowest and widest point spread (standard deviation), pixels.
 const BLUR_LIMITS_PX: (f64, f64) = (0.35, 6.0);
@@ -37,7 +37,8 @@ const BLUR_LIMITS_PX: (f64, f64) = (0.35, 6.0);
 
 /// Distance of either Gaussian from the middle, as a share of the path: the fourth root of 1/240.
 pub(super) const PATH_OFFSET: f64 = 0.254_066;
-/// Variance of either along the path, as a share of its square: 1/12 less the square of the offset.
+/// Variance of either Gaussian along the path, as a share of its square: 1/12 less the square of
+/// the offset.
 pub(super) const PATH_VARIANCE: f64 = 0.018_784;
 
 /// Values of the unknowns.
@@ -45,22 +46,23 @@ pub(super) const PATH_VARIANCE: f64 = 0.018_784;
 pub(super) struct State {
     /// Pose of the markers in the patch's frame, whose axes are the view's.
     pub patch_from_markers: Isometry3<f64>,
-    /// How far the body moves during the exposure, pixels: known, and not fitted. Zero where it is
-    /// not known, or so short that a Gaussian shows it as well.
+    /// Motion of the body during the exposure, pixels: known, and not fitted. Zero if it is not
+    /// known, or so short that a Gaussian models it as well.
     pub even_path_px: Vector2<f64>,
-    /// Covariance of the point spread, beside what the path does, pixels squared.
+    /// Covariance of the point spread without the path, pixels squared.
     pub blur: Matrix2<f64>,
     /// Variance of the blur that acts on code values instead of radiance, pixels squared.
     pub code_blur: f64,
     /// White and black level of each facet.
     pub levels: Vec<[f64; 2]>,
-    /// Radiance that each seam between two facets adds, as a line without width: radiance times
+    /// Additional radiance of each seam between two facets, as a line without width: radiance times
     /// metres.
     pub seams: Vec<f64>,
 }
 
 impl State {
-    /// A body at a pose with a point spread as expected, its white and black levels not known yet.
+    /// Creates the state of a body at a pose with the expected point spread. Its white and black
+    /// levels are not known yet.
     pub fn new(print: &BodyPrint, patch_from_markers: Isometry3<f64>, prior: &Prior) -> Self {
         Self {
             patch_from_markers,
@@ -73,12 +75,12 @@ impl State {
     }
 }
 
-/// What is expected of the point spread, and how pixels of the patch relate to the sphere image's.
+/// Expected point spread, and the scale between pixels of the patch and of the sphere image.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Prior {
-    /// How far the body moves during the exposure, pixels; see [`State::even_path_px`].
+    /// Motion of the body during the exposure, pixels; see [`State::even_path_px`].
     pub even_path_px: Vector2<f64>,
-    /// Expected covariance of the point spread beside that, pixels squared.
+    /// Expected covariance of the point spread without that path, pixels squared.
     pub blur: Matrix2<f64>,
     /// Standard deviation of the point spread's variance, pixels squared.
     pub blur_sigma_px2: f64,
@@ -109,8 +111,8 @@ impl Prior {
         Self { even_path_px, blur, blur_sigma_px2: of_lens.hypot(of_path), motion, magnification }
     }
 
-    /// By how much the variance of a point spread along the motion exceeds that across it, pixels
-    /// of the sphere image squared.
+    /// Variance of a point spread along the motion, less that across it, pixels of the sphere image
+    /// squared.
     pub fn stretch_px2(&self, blur: &Matrix2<f64>) -> Option<f64> {
         let along = self.motion?.into_inner();
         let across = Vector2::new(-along.y, along.x);
@@ -119,8 +121,8 @@ impl Prior {
         Some((variance(along) - variance(across) + of_path) / self.magnification.powi(2))
     }
 
-    /// How many samples carry the information of one: pixels of a magnified view are not
-    /// independent.
+    /// Number of samples with the information of one independent sample: pixels of a magnified view
+    /// are not independent.
     pub fn samples_per_pixel(&self) -> f64 {
         self.magnification.powi(2).max(1.0)
     }
@@ -128,13 +130,13 @@ impl Prior {
 
 /// Index of each unknown of facets and seams in the normal equations.
 ///
-/// Facets that face away and seams that no sample shows have none. The radiance gradients come
-/// last, so that all other unknowns can be solved for without them.
+/// Facets that face away and seams without samples have no index. The radiance gradients come last,
+/// so that all other unknowns can be solved for without them.
 #[derive(Debug)]
 pub(super) struct Layout {
-    /// Of each facet's white level; its black level is the next.
+    /// Index of each facet's white level; its black level is the next.
     pub levels: Vec<Option<usize>>,
-    /// Of each seam's radiance.
+    /// Index of each seam's radiance.
     pub seams: Vec<Option<usize>>,
     /// Number of unknowns without the radiance gradients.
     pub uniform_count: usize,
@@ -143,8 +145,8 @@ pub(super) struct Layout {
 }
 
 impl Layout {
-    /// `is_visible` says for each facet whether it faces the camera; `seams_shown` are the seams
-    /// that samples show, in the samples' order.
+    /// Creates the layout. `is_visible` states for each facet whether it faces the camera;
+    /// `seams_shown` are the seams in the samples, in their order.
     pub fn new(
         is_visible: impl Iterator<Item = bool>,
         seam_count: usize,
@@ -188,8 +190,8 @@ impl Layout {
 
 /// Adds the priors to the normal equations.
 ///
-/// They expect the lens's point spread, black that is a small share of white, uniform radiance over
-/// each facet, and seams that hardly show.
+/// They favour the lens's point spread, black as a small share of white, uniform radiance over each
+/// facet, and faint seams.
 pub(super) fn add_priors(
     normal: &mut DMatrix<f64>,
     right: &mut DVector<f64>,
@@ -242,7 +244,7 @@ pub(super) fn add_priors(
 
 /// Applies a step, shortened where it is too long, without its radiance gradients.
 ///
-/// Returns how far the body moved in a patch of this focal length, pixels. `None` for a step that
+/// Returns the motion of the body in a patch of this focal length, pixels. `None` for a step that
 /// is not finite.
 pub(super) fn apply_step(
     state: &mut State,

@@ -11,12 +11,12 @@ use crate::square::mean_side_px;
 /// Moves each side of a black square to where the radiance falls most steeply within 2 px of it, in
 /// steps of a quarter of a pixel.
 ///
-/// The result is precise enough to read a marker whose contour was found, when nothing is known of
-/// its cells but how many there are along a side, border included. It also brings a guess within
-/// reach of [`super::refine_corners`]. The border's *inner* edge, where the radiance rises, cannot
-/// be taken for the outer one.
+/// The result is precise enough to read a marker whose contour was found. Only the number of cells
+/// along a side is needed, border included. It also brings a guess within reach of
+/// [`super::refine_corners`]. The border's *inner* edge, where the radiance rises, cannot be taken
+/// for the outer one.
 ///
-/// `None` where the sides lie outside the image or do not cross any more.
+/// `None` where the sides lie outside the image or no longer cross.
 pub fn approach_corners(
     image: &LumaImage<'_>,
     light: &LinearLight,

@@ -1,4 +1,4 @@
-//! The corners of a marker in a view, and how they compare.
+//! The corners of a marker in a view, and their comparison.
 
 use flockeye_geometry::view::ViewPixel;
 
@@ -23,10 +23,11 @@ pub struct RefinedCorners {
     pub residual_sigma: f64,
 }
 
-/// Corners by the edges and by the whole print agree up to this many standard deviations.
+/// Largest difference between corners from the edges and from the whole print, standard deviations.
 const AGREED_SIGMAS: f64 = 5.0;
 
-/// Whether corners by the whole print are those by the edges; a shadow or an object may spoil it.
+/// Whether corners from the whole print match those from the edges; a shadow or an object may spoil
+/// the fit.
 pub(super) fn agree(whole: &RefinedCorners, edges: &RefinedCorners, print: &MarkerPrint) -> bool {
     (0..4).all(|k| {
         let apart = (whole.corners_in_view[k].0 - edges.corners_in_view[k].0).norm();
@@ -35,8 +36,8 @@ pub(super) fn agree(whole: &RefinedCorners, edges: &RefinedCorners, print: &Mark
     })
 }
 
-/// Standard deviation of corners by edges alone, larger than their scatter says. The whole print
-/// did not fit: a part of it is occluded, or its cells are hardly wider than the blur.
+/// Standard deviation of corners from edges alone, larger than their scatter. The whole print did
+/// not fit: a part of it is occluded, or its cells are hardly wider than the blur.
 pub(super) fn without_whole(sigma_px: f64, edges: &RefinedCorners, print: &MarkerPrint) -> f64 {
     let corners = &edges.corners_in_view;
     let narrowest = (0..4)
@@ -47,7 +48,7 @@ pub(super) fn without_whole(sigma_px: f64, edges: &RefinedCorners, print: &Marke
     (2.0 * sigma_px).hypot(0.5 * (blur / narrowest).powi(2).min(1.0))
 }
 
-/// Whether the corners are near enough to the guess to be the same ones.
+/// Whether the corners are near enough to the guess to be the same corners.
 pub(super) fn is_near(corners: &[ViewPixel; 4], guess: &[ViewPixel; 4]) -> bool {
     let limit = 3.0 + 0.05 * mean_side_px(guess);
     corners.iter().zip(guess).all(|(a, b)| (a.0 - b.0).norm() <= limit)

@@ -36,11 +36,12 @@ pub(super) struct Drawing {
     count: usize,
 }
 
-/// Gaussians wider than this, in steps of the grid, are summed over one point for each grid point,
-/// narrower ones over four. Then an edge moves by less than 0.01 steps with the phase of the grid.
+/// Width above which a Gaussian is summed over one point for each grid point, steps of the grid.
+/// Narrower ones are summed over four. Then an edge moves by less than 0.01 steps with the phase of
+/// the grid.
 const WIDE_STEPS: f64 = 0.85;
 
-/// Gaussians are truncated here, standard deviations.
+/// Radius at which Gaussians are truncated, standard deviations.
 const REACH: f64 = 3.1;
 
 /// The mean of `count` x `count` cells with a rim, over a rectangle of `width` by `height` about
@@ -63,7 +64,7 @@ fn nearest_edge(at: f32, width: f32) -> (usize, f32) {
 }
 
 impl Drawing {
-    /// A drawing of `print` that has not been rendered yet.
+    /// Creates a drawing of `print` before its first rendering.
     pub(super) fn of(print: &MarkerPrint) -> Self {
         let count = print.cells();
         let last = count as isize;

@@ -1,4 +1,4 @@
-//! How correlated the noise of neighbouring pixels is.
+//! Correlation of the noise of neighbouring pixels.
 
 use crate::sphere::MAGNIFIED;
 
@@ -28,7 +28,7 @@ impl Grain {
     pub(super) fn step(self, blur_px: f64) -> usize {
         match self {
             Self::Pixels => 1,
-            // Samples as far apart as a Gaussian is wide determine it.
+            // Samples at distances of the Gaussian's width determine it.
             Self::Resampled { magnification } => {
                 magnification.min(blur_px / 0.9).floor().clamp(1.0, 8.0) as usize
             }
@@ -41,8 +41,8 @@ impl Grain {
         match self {
             Self::Pixels => 1.0,
             Self::Resampled { magnification } if magnification <= MAGNIFIED => {
-                // Bilinear interpolation: the correlation depends on where the pixels lie between
-                // those of the image, so it is measured.
+                // For bilinear interpolation the correlation depends on the position between the
+                // pixels of the image, so it is measured.
                 correlation.map(|along| 1.0 + 2.0 * along.clamp(0.0, 0.5)).iter().product()
             }
             Self::Resampled { magnification } => {

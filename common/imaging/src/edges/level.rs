@@ -1,15 +1,15 @@
-//! Brings all profiles of a marker to one light.
+//! Normalises all profiles of a marker to one light.
 //!
 //! Where the edge of a shadow crosses a marker, white and black differ from profile to profile.
 //! Each profile is compared with the print that it should show, which gives its own white and
-//! black. With these it is scaled to what the marker has on average.
+//! black. With these it is scaled to the average of the marker.
 
 use super::model::share;
 use super::profile::{EdgeProfile, Side};
 use crate::gaussian::Gaussian;
 
-/// Least radiance of a profile's white above its black, as a share of the marker's mean. Below, its
-/// edge would drown in noise.
+/// Least radiance of a profile's white above its black, as a share of the marker's mean. Below,
+/// noise hides the edge.
 const MIN_CONTRAST_SHARE: f64 = 0.05;
 
 /// Least variance of the share of white over a profile's samples: with less, all of them are white,
@@ -18,7 +18,7 @@ const MIN_SPREAD: f64 = 0.01;
 
 /// Scales the samples of every profile to the mean white and the mean black of all. `blur` is that
 /// of the first and third side, then of the second and fourth, pixels. Profiles without contrast
-/// go.
+/// are removed.
 pub(super) fn level(sides: &mut [Side; 4], blur: [f64; 2]) {
     let levels: Vec<Vec<Option<(f64, f64)>>> =
         sides.iter().enumerate().map(|(k, side)| levels_of(side, blur[k % 2])).collect();
@@ -40,8 +40,7 @@ pub(super) fn level(sides: &mut [Side; 4], blur: [f64; 2]) {
     }
 }
 
-/// Whether any sample may stand for more light than it says. Where white saturates, a profile does
-/// not show its own.
+/// Whether any sample may be clipped. Where white saturates, a profile does not show its own white.
 pub(super) fn is_clipped(sides: &[Side; 4]) -> bool {
     let mut samples =
         sides.iter().flat_map(|side| &side.profiles).flat_map(|profile| &profile.samples);
@@ -54,7 +53,7 @@ fn levels_of(side: &Side, blur: f64) -> Vec<Option<(f64, f64)>> {
     let gaussian = Gaussian::get();
     let of = |profile: &EdgeProfile| {
         let (mut n, mut x, mut xx, mut y, mut xy) = (0.0, 0.0, 0.0, 0.0, 0.0);
-        // A clipped sample stands for more light than it says.
+        // A clipped sample has a higher true radiance.
         for sample in profile.samples.iter().filter(|sample| !sample.is_clipped) {
             let white = share(gaussian, profile, sample.depth, 0.0, blur).white;
             n += 1.0;

@@ -8,7 +8,7 @@ use super::side::SideFrame;
 /// Least standard deviation of a corner, pixels: the model of an edge is not perfect.
 const MIN_SIGMA_PX: f64 = 0.03;
 
-/// Positions whose median distance from their line is larger than this belong to no edge, pixels.
+/// Largest median distance of the positions of an edge from their line, pixels.
 const MAX_SCATTER_PX: f64 = 1.0;
 
 /// Position of the edge in one profile.
@@ -61,7 +61,7 @@ impl EdgeLine {
 /// correlation of neighbours. It is no smaller than `expected`, the covariance that the noise of
 /// the samples explains.
 ///
-/// `None` where fewer than four positions, or fewer than half of them, agree on a line.
+/// `None` where fewer than four positions, or fewer than half of them, lie on a line.
 pub(super) fn fit(places: &[EdgePoint], expected: Matrix2<f64>) -> Option<EdgeLine> {
     if places.len() < 4 {
         return None;
@@ -99,7 +99,7 @@ pub(super) fn fit(places: &[EdgePoint], expected: Matrix2<f64>) -> Option<EdgeLi
     Some(EdgeLine { offset, slope, covariance })
 }
 
-/// Distance of a position from the line of this offset and slope.
+/// Distance of a position from the line with this offset and slope.
 fn distance(place: &EdgePoint, line: Vector2<f64>) -> f64 {
     place.depth - line[0] - line[1] * place.along
 }
@@ -114,7 +114,7 @@ fn tukey(residuals: &[f64]) -> Vec<f64> {
     residuals.iter().map(weight).collect()
 }
 
-/// Offset and slope of the repeated median line, which nearly half of the positions cannot move far
+/// Offset and slope of the repeated median line, which is robust to nearly half of the positions
 /// (A. Siegel, Robust regression using repeated medians, Biometrika 69, 1982).
 fn repeated_median(places: &[EdgePoint]) -> Vector2<f64> {
     let slopes = places.iter().map(|from| {
@@ -126,7 +126,7 @@ fn repeated_median(places: &[EdgePoint]) -> Vector2<f64> {
     Vector2::new(offset, slope)
 }
 
-/// The median; 0 of no values.
+/// The median; 0 without values.
 fn median(mut values: Vec<f64>) -> f64 {
     values.sort_by(f64::total_cmp);
     values.get(values.len() / 2).copied().unwrap_or(0.0)
@@ -142,8 +142,8 @@ fn residual_correlation(weights: &[f64], residuals: &[f64]) -> f64 {
     (1.0 + r) / (1.0 - r)
 }
 
-/// Where the lines of two neighbouring sides cross, and the standard deviation along each axis,
-/// pixels. `None` where they are nearly parallel.
+/// Intersection of the lines of two neighbouring sides, with its standard deviation along each
+/// axis, pixels. `None` where they are nearly parallel.
 pub(super) fn cross(
     before: (&SideFrame, &EdgeLine),
     after: (&SideFrame, &EdgeLine),

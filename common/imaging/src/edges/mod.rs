@@ -1,8 +1,8 @@
 //! The corners of a marker, refined by its four edges and its print.
 //!
 //! OpenCV finds corners by a threshold or a gradient of *code values*. They lie inside the true
-//! square by 0.2 to 0.85 px. Here each corner is where two lines cross. Each line is fitted to the
-//! place where the radiance steps from the white quiet zone to the black border:
+//! square by 0.2 to 0.85 px. Here each corner is the intersection of two lines. Each line is fitted
+//! to the place where the radiance steps from the white quiet zone to the black border:
 //!
 //! 1. `approach` moves each side to the steepest fall of radiance.
 //! 2. `profile` samples the radiance across each side, in many places along it but away from the
@@ -15,10 +15,10 @@
 //! 4. `line` fits a line to the edge's position in each profile, without outliers such as a
 //!    propeller or another edge. The scatter of the positions gives the covariance.
 //!
-//! Steps 2 to 4 are done two or three times, because the lines tell better where to sample and
-//! where the cells are. The first time, `model` takes only a few steps.
+//! Steps 2 to 4 are repeated two or three times, because the lines give better places for samples
+//! and cells. The first time, `model` takes only a few steps.
 //!
-//! Where light differs from place to place, `level` brings the profiles to one light before step 3
+//! In uneven light, `level` normalises the profiles to one light before step 3
 //! ([`Lighting::Uneven`]).
 //!
 //! 5. `whole` fits all cells of the print to the pixels, starting from these corners
@@ -55,8 +55,8 @@ pub const MIN_SIDE_PX: f64 = 8.0;
 /// Refines the corners of a black square on white, from a guess that is off by up to 1.5 px.
 ///
 /// `guess_in_view` is in ArUco's order: clockwise from the printed top left. `None` where the
-/// marker is smaller than [`MIN_SIDE_PX`], is cut by the image's border, has too little contrast,
-/// has no four straight edges near the guess, or does not look like `print`.
+/// marker is smaller than [`MIN_SIDE_PX`], leaves the image, or has too little contrast. Also
+/// `None` without four straight edges near the guess, or if it does not look like `print`.
 pub fn refine_corners(
     image: &LumaImage<'_>,
     light: &LinearLight,
@@ -123,7 +123,7 @@ fn by_edges(
             black: fit.black,
             residual_sigma: fit.noise / (fit.white - fit.black),
         });
-        // The first fit is a coarse one.
+        // The first fit is coarse.
         if before.is_some() && moved < CONVERGED_PX {
             break;
         }
@@ -132,8 +132,8 @@ fn by_edges(
     refined.filter(|refined| is_near(&refined.corners_in_view, guess_in_view))
 }
 
-/// Whether the edges that start from the corners by the whole print lead back to them. Where
-/// something hides a corner, the edges from the outline may have led to what hides it.
+/// Whether edges fitted from the whole print's corners return to these corners. Where an object
+/// hides a corner, the edges from the outline may have followed that object.
 fn are_edges_of(
     whole: &RefinedCorners,
     image: &LumaImage<'_>,
@@ -145,18 +145,18 @@ fn are_edges_of(
     edges.is_some_and(|edges| agree(whole, &edges, print))
 }
 
-/// How a marker is lit.
+/// Lighting of a marker.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Lighting {
     /// One white and one black everywhere.
     #[default]
     Even,
-    /// Shadows cross it: white and black differ from place to place. Its edges alone are fitted,
+    /// Shadows cross it: white and black differ from place to place. Only its edges are fitted,
     /// each place of them in its own light.
     Uneven,
 }
 
-/// How much is fitted to refine corners.
+/// Extent of the fit that refines corners.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum CornerFit {
     /// The four edges: enough as a start for aligning the whole body.
@@ -166,7 +166,8 @@ pub enum CornerFit {
     WholePrint,
 }
 
-/// The corners by the whole print, from those by the edges. `None` where it does not fit.
+/// The corners from the whole print, starting from those of the edges. `None` where it does not
+/// fit.
 fn by_whole_print(
     image: &LumaImage<'_>,
     light: &LinearLight,
@@ -182,10 +183,10 @@ fn by_whole_print(
     })
 }
 
-/// If the corners move by less than this in one round, no further round is needed, pixels.
+/// Motion of the corners in a round below which no further round is needed, pixels.
 const CONVERGED_PX: f64 = 0.2;
 
-/// A print whose residual sigma is a larger share of the contrast than this does not fit.
+/// Largest residual sigma of a fitting print, as a share of the contrast.
 const MAX_RESIDUAL_SIGMA: f64 = 0.25;
 
 /// Least standard deviation of a corner, pixels: the model of a lens is not perfect.
@@ -201,13 +202,13 @@ fn fit_lines(sides: &[Side; 4], fit: &model::EdgeFit) -> Option<[EdgeLine; 4]> {
     Some([line(0)?, line(1)?, line(2)?, line(3)?])
 }
 
-/// Standard deviation of an edge's position by errors of the model, as a share of the blur:
-/// compression, sharpening and the shape of the blur shift an edge in all profiles alike.
+/// Standard deviation of an edge's position from errors of the model, as a share of the blur.
+/// Compression, sharpening and the shape of the blur shift an edge in all profiles alike.
 const MODEL_SHARE: f64 = 0.03;
 
-/// Standard deviation of an edge's position because its neighbours are blurred into it, pixels: the
-/// border's inner edge, and what lies beyond the quiet zone. All profiles share this error, so it
-/// is not in their scatter. Measured on rendered markers of 14 to 60 px (`tests/corners.rs`).
+/// Standard deviation of an edge's position from blurred neighbours, pixels: the border's inner
+/// edge, and the surroundings beyond the quiet zone. All profiles share this error, so it is not in
+/// their scatter. Measured on rendered markers of 14 to 60 px (`tests/corners.rs`).
 fn crowding(blur: f64, border: f64) -> f64 {
     (blur / border).powf(3.5)
 }
@@ -221,6 +222,6 @@ fn cross(sides: &[Side; 4], lines: &[EdgeLine; 4]) -> Option<[(ViewPixel, f64); 
     Some([corner(0)?, corner(1)?, corner(2)?, corner(3)?])
 }
 
-/// Where the border is wider than this many blurs, each place of an edge shows white and black by
-/// itself, and is fitted in its own light however the marker is lit.
+/// Width of the border, in blurs, above which each place of an edge shows white and black by
+/// itself. Then each place is fitted in its own light for any lighting.
 const LEVEL_BLURS: f64 = 4.0;

@@ -24,17 +24,17 @@ const BLUR: usize = 8;
 const WHITE: usize = 10;
 const BLACK: usize = 11;
 
-/// Steps of a fit at most, of a first one, which only tells where to sample again, and of another.
+/// Most steps of a first fit, which only gives the places of samples, and of later fits.
 const MAX_STEPS: [usize; 2] = [4, 8];
-/// A step shorter than this is the last, pixels.
+/// Length of the last step, pixels.
 const CONVERGED_PX: [f64; 2] = [0.05, 0.01];
-/// Largest residual sigma of a fit that is kept, as a share of the contrast.
+/// Largest residual sigma of an accepted fit, as a share of the contrast.
 const MAX_RESIDUAL_SIGMA: [f64; 2] = [0.35, 0.25];
 /// Least radiance of white above black, share of nominal white.
 const MIN_CONTRAST: f64 = 0.01;
 /// Scale of Cauchy's weight function, standard deviations.
 const CAUCHY: f64 = 2.5;
-/// Limits of the blur, pixels. A narrower one looks like none, with a wider one there is no edge.
+/// Limits of the blur, pixels. A narrower one has no effect, and a wider one leaves no edge.
 const BLUR_PX: std::ops::RangeInclusive<f64> = 0.3..=5.0;
 
 type Normal = SMatrix<f64, UNKNOWNS, UNKNOWNS>;
@@ -69,7 +69,7 @@ pub(super) struct PrintShare {
     by_blur: f64,
 }
 
-/// What the print has at `depth` of a profile, pixels, if its edge is at `edge`.
+/// Share of white of the print at `depth` of a profile, pixels, if its edge is at `edge`.
 pub(super) fn share(
     gaussian: Gaussian,
     profile: &EdgeProfile,
@@ -152,7 +152,7 @@ pub(super) fn fit(sides: &[Side; 4], before: Option<&EdgeFit>) -> Option<EdgeFit
         let step = matrix.cholesky()?.solve(&gradient);
         apply(&mut unknowns, &step, contrast);
         normal = matrix;
-        // From the residuals before the step, for the weights of the next one.
+        // Noise from the residuals before the step, for the weights of the next one.
         noise = noise_of(&mut residuals).max(0.003 * contrast);
         if step.fixed_rows::<BLUR>(0).amax() < CONVERGED_PX[stage] {
             break;
@@ -163,7 +163,8 @@ pub(super) fn fit(sides: &[Side; 4], before: Option<&EdgeFit>) -> Option<EdgeFit
         return None;
     }
     // Samples are denser than pixels, and pixels of a blurred image depend on their neighbours
-    // within about the blur. So this many samples carry the information of one.
+    // within about the blur. This is the number of samples with the information of one independent
+    // sample.
     let dependent = unknowns[BLUR].max(1.0) * unknowns[BLUR + 1].max(1.0);
     let density = (sides.iter().map(samples_per_pixel).fold(0.0, f64::max) * dependent).max(1.0);
     Some(EdgeFit {
@@ -182,7 +183,7 @@ pub(super) fn quantile(mut values: Vec<f64>, share: f64) -> Option<f64> {
     Some(*values.select_nth_unstable_by(at, f64::total_cmp).1)
 }
 
-/// Normal matrix and gradient of one Gauss-Newton step. Puts the absolute residuals in `sizes`.
+/// Normal matrix and gradient of one Gauss-Newton step. Writes the absolute residuals to `sizes`.
 fn normal_equations(
     sides: &[Side; 4],
     unknowns: &Unknowns,
@@ -244,7 +245,7 @@ fn normal_equations(
     (matrix, gradient)
 }
 
-/// Applies a step, limited to where the model is about linear.
+/// Applies a step, limited to the range in which the model is about linear.
 fn apply(unknowns: &mut Unknowns, step: &Unknowns, contrast: f64) {
     for index in 0..BLUR {
         unknowns[index] += step[index].clamp(-0.8, 0.8);
@@ -268,7 +269,7 @@ fn noise_of(sizes: &mut [f64]) -> f64 {
     1.4826 * *sizes.select_nth_unstable_by(middle, f64::total_cmp).1
 }
 
-/// Number of samples for each pixel of the area that they cover.
+/// Number of samples per pixel of the covered area.
 fn samples_per_pixel(side: &Side) -> f64 {
     let (Some(first), Some(last)) = (side.profiles.first(), side.profiles.last()) else {
         return 1.0;

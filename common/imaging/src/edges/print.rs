@@ -1,8 +1,8 @@
-//! What a marker looks like on paper.
+//! The printed pattern of a marker.
 
 use crate::gaussian::Gaussian;
 
-/// Width of the quiet zone round the black square, cells. What lies beyond it is ignored.
+/// Width of the quiet zone around the black square, cells. The surroundings beyond it are ignored.
 pub(super) const QUIET_ZONE_CELLS: f64 = 0.5;
 
 /// A printed marker: black and white cells in a black border of one cell, on white.

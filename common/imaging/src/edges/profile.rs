@@ -1,4 +1,4 @@
-//! Radiance across the sides of a marker, and what the print has there.
+//! Radiance across the sides of a marker, with the changes of the print there.
 
 use flockeye_geometry::view::ViewPixel;
 use nalgebra::Vector2;
@@ -9,20 +9,20 @@ use crate::image::LumaImage;
 use crate::light::LinearLight;
 use crate::square::{SquareInView, mean_side_px};
 
-/// The blur that is assumed before one was fitted, pixels.
+/// Assumed blur before the first fit, pixels.
 pub(super) const FIRST_BLUR_PX: f64 = 1.2;
 
 /// Distance of samples across a side where the blur is a pixel or less, pixels. With more blur, the
 /// steps grow with it.
 const STEP_PX: f64 = 0.5;
 
-/// Profiles of a side, at most.
+/// Most profiles of a side.
 const MAX_PROFILES: usize = 16;
 
-/// Rows of cells that a profile crosses, the border included.
+/// Number of rows of cells that a profile crosses, the border included.
 const MAX_DEPTH_CELLS: f64 = 2.5;
 
-/// Code values from here on may be clipped, and stand for more radiance than they say.
+/// Least code value that may be clipped, so that its true radiance may be higher.
 pub(super) const CLIPPED_CODE: u8 = 254;
 
 /// One sample of a profile.
@@ -31,7 +31,7 @@ pub(super) struct ProfileSample {
     /// Distance from the guessed side, inwards, pixels.
     pub depth: f64,
     pub radiance: f64,
-    /// Whether the camera may have clipped it.
+    /// Whether the sample may be clipped.
     pub is_clipped: bool,
 }
 
@@ -84,7 +84,7 @@ impl Side {
         let cell = mean_side_px(corners) / print.cells() as f64;
         let enough = 3.0 * blur[k % 2] + 1.0;
         let outwards = (QUIET_ZONE_CELLS * cell).clamp(1.0, enough);
-        // Near the ends, the quiet zone of the next side ends as well.
+        // Near the ends, the quiet zone of the next side ends too.
         let ends = (1.5 * blur[(k + 1) % 2] + 0.5).min(0.5 * half);
         let usable = half - ends;
         let spread = [blur[k % 2].clamp(1.0, 3.0), blur[(k + 1) % 2].clamp(1.0, 3.0)];
@@ -146,7 +146,7 @@ fn changes(
     rises.then_some(changes)
 }
 
-/// Where the profile crosses the printed line at `v`: depth in pixels, and u.
+/// Intersection of the profile with the printed line at `v`: depth in pixels, and u.
 fn crossing(
     square: &SquareInView,
     base: Vector2<f64>,

@@ -1,9 +1,9 @@
 //! Fits the whole print to the pixels.
 //!
-//! On a small marker, the position of an outer edge depends on what is blurred into it: the
-//! border's inner edge, and the unknown surroundings beyond the quiet zone. But the marker was
-//! decoded, so all of its cells are known. The edges between cells are as good as the outer ones,
-//! with nothing unknown behind them. The radiance of a pixel is
+//! On a small marker, the position of an outer edge depends on its blurred neighbours: the border's
+//! inner edge, and the unknown surroundings beyond the quiet zone. But the marker was decoded, so
+//! all of its cells are known. The edges between cells are as good as the outer ones, with nothing
+//! unknown behind them. The radiance of a pixel is
 //!
 //! ```text
 //! I = B + (W - B) M + sum over the sides k of A_k F((d_k - q) / s_k)
@@ -47,15 +47,16 @@ const BLACK: usize = 12;
 const BEYOND: usize = 13;
 
 const ITERATIONS: usize = 10;
-/// A step that moves no corner by more than this is the last, steps of the grid.
+/// Motion of every corner in the last step, steps of the grid.
 const CONVERGED: f64 = 0.02;
-/// Narrower blur than this cannot be told from the width of a pixel, steps of the grid.
+/// Narrowest blur, steps of the grid. It cannot be distinguished from the width of a pixel.
 const MIN_BLUR: f64 = 0.4;
 
 /// Values of the unknowns.
 #[derive(Debug, Clone, Copy)]
 struct State {
-    /// From the square's plane, with its middle at the origin and sides of 1, to the view.
+    /// Homography from the square's plane, with its middle at the origin and sides of 1, to the
+    /// view.
     view_from_square: Matrix3<f64>,
     /// Covariance of the blur, pixels squared.
     blur: Matrix2<f64>,
@@ -64,13 +65,13 @@ struct State {
     beyond: [f64; 4],
 }
 
-/// Where more than this share of the print seems hidden, only the state can be wrong.
+/// Largest hidden share of the print. Beyond it the state must be wrong.
 const MAX_HIDDEN_SHARE: f64 = 0.5;
 
 const CORNERS: [(f64, f64); 4] = [(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)];
 
 impl State {
-    /// The print where the edges have its corners. `None` where these are no square.
+    /// Start state with the corners from the edges. `None` where these form no square.
     fn of(edges: &RefinedCorners) -> Option<Self> {
         let to_unit = Matrix3::new(1.0, 0.0, 0.5, 0.0, 1.0, 0.5, 0.0, 0.0, 1.0);
         let view_from_square =
@@ -98,7 +99,7 @@ impl State {
         )
     }
 
-    /// The state after a step, limited to where the model is about linear.
+    /// The state after a step, limited to the range in which the model is about linear.
     fn after(&self, step: &Unknowns) -> Self {
         let change = Matrix3::new(
             1.0 + step[0],
@@ -113,7 +114,7 @@ impl State {
         );
         let contrast = self.white - self.black;
         let bounded = |index: usize, most: f64| step[index].clamp(-most, most);
-        // As far as the derivatives by the blur hold.
+        // The limit of the derivatives by the blur.
         let most = 0.3 * self.blur.trace() / 2.0;
         let turn = Matrix2::new(
             bounded(BLUR, most),
@@ -135,30 +136,31 @@ fn cartesian(point: Vector3<f64>) -> Vector2<f64> {
     point.xy() / point.z
 }
 
-/// Derivatives by the homography's unknowns; `gradient` is that by the square's point (p, q).
+/// Derivatives by the homography's unknowns; `gradient` is the derivative by the square's point (p,
+/// q).
 fn by_place(gradient: Vector2<f64>, (p, q): (f64, f64)) -> [f64; PLACE] {
     let (by_p, by_q) = (gradient.x, gradient.y);
     let inwards = -(by_p * p + by_q * q);
     [by_p * p, by_p * q, by_p, by_q * p, by_q * q, by_q, inwards * p, inwards * q]
 }
 
-/// The pixels that a marker is fitted to.
+/// The pixels to which a marker is fitted.
 struct PrintView<'a> {
     image: &'a LumaImage<'a>,
     light: &'a LinearLight,
     /// Cells of the print along a side.
     cells: usize,
     grid: Grid,
-    /// For each pixel of the grid whether something hides the print there. Empty: nothing does.
+    /// Whether an object hides the print at each pixel of the grid. Empty if none does.
     hidden: Vec<bool>,
-    /// Pixels up to this far outside the square are used, sides of the square.
+    /// Distance from the square within which pixels are used, sides of the square.
     reach: f64,
-    /// Where the quiet zone may end, sides of the square from its edge.
+    /// Possible end of the quiet zone, sides of the square from its edge.
     quiet: f64,
     contrast: f64,
 }
 
-/// Fits the print, from its `edges`. `None` where it does not fit, or is cut by the image.
+/// Fits the print, starting from its `edges`. `None` where it does not fit, or the image cuts it.
 pub(super) fn fit(
     image: &LumaImage<'_>,
     light: &LinearLight,
@@ -194,7 +196,7 @@ pub(super) fn fit(
 }
 
 /// Gauss-Newton from a state and a standard deviation of the residuals. Returns both at the end;
-/// `None` where it leads to no print.
+/// `None` where the result is no print.
 fn converge(
     view: &PrintView<'_>,
     start: State,
@@ -215,7 +217,7 @@ fn converge(
         let moved = |(a, b): (&ViewPixel, &ViewPixel)| (a.0 - b.0).norm();
         let before = state.corners();
         let most = next.corners().iter().zip(&before).map(moved).fold(0.0, f64::max);
-        // Print that comes out darker than its border is none.
+        // A print darker than its border is invalid.
         let is_print = next.white > next.black;
         if !is_blurred || !is_print || !most.is_finite() {
             return None;
@@ -272,14 +274,14 @@ fn result(
 }
 
 /// The surroundings beyond the quiet zone are modelled coarsely. They shift corners by this share
-/// of the blur where a cell is as wide as the blur, and by less with the square of the ratio where
-/// it is wider. Measured on rendered markers (`tests/corners.rs`).
+/// of the blur where a cell is as wide as the blur. For wider cells the shift falls with the square
+/// of the ratio. Measured on rendered markers (`tests/corners.rs`).
 const CROWDING: f64 = 0.04;
 
-/// The quiet zone may be wider than stated by this, because prints are cut generously.
+/// Additional width of the quiet zone, because prints are cut generously.
 const QUIET_MARGIN_CELLS: f64 = 0.25;
 
-/// The grid of pixels within `reach` sides of the square, as far as they lie in the image.
+/// The grid of pixels within `reach` sides of the square and inside the image.
 fn grid(image: &LumaImage<'_>, state: &State, reach: f64, step: usize) -> Option<Grid> {
     let out = 1.0 + 2.0 * reach;
     let corners = CORNERS
@@ -328,7 +330,7 @@ impl PrintView<'_> {
                 let at = square_from_view * Vector3::new(x as f64, y as f64, 1.0);
                 let (p, q) = (at.x / at.z, at.y / at.z);
                 let neighbours = [std::mem::take(&mut left), std::mem::take(above)];
-                // Written so that a NaN counts as outside.
+                // In this form a NaN counts as outside.
                 if !(p.abs() < limit && q.abs() < limit) {
                     continue;
                 }
@@ -411,9 +413,8 @@ impl PrintView<'_> {
         }
     }
 
-    /// For each pixel of the grid whether something hides the print there, with the soft edge of
-    /// what does. Empty where nothing does, or where so much would be hidden that only the state
-    /// can be wrong.
+    /// Whether an object, including its soft edge, hides the print at each pixel of the grid. Empty
+    /// if none does, or if so much would be hidden that the state must be wrong.
     fn hidden(&self, sums: &RobustSums, (state, noise): (State, f64)) -> Vec<bool> {
         let least = least_residual(noise, state.white);
         let blur = (state.blur.trace() / 2.0).sqrt() / self.grid.step as f64;

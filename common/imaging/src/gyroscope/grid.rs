@@ -11,14 +11,14 @@ use crate::sphere::SphereImage;
 pub const COLUMNS: usize = 480;
 /// Levels, each half as wide as the one before.
 pub const LEVELS: usize = 3;
-/// Camera pixels that are averaged for one of the finest level where the camera is not
-/// equirectangular: along either side.
+/// Sampling along either side for a camera that is not equirectangular: camera pixels per pixel of
+/// the finest level.
 const SAMPLES: usize = 4;
-/// Blocks of at least so many rows are averaged over every other one.
+/// Least rows of a block of which only every other row is averaged.
 const MANY_ROWS: usize = 8;
 
-/// Nothing below this latitude is averaged, degrees: points are taken from above 40 degrees below
-/// the horizon ([`super::points`]), and turn by less than the rest between two frames.
+/// Lowest averaged latitude, degrees. Points are taken down to 40 degrees below the horizon
+/// ([`super::points`]), and turn by less than the rest between two frames.
 const LOWEST_DEG: f64 = -65.0;
 
 /// One level: code values by row from the zenith down, as in an equirectangular image.
@@ -80,7 +80,7 @@ impl Level {
     }
 }
 
-/// The direction of a pixel of a level with so many columns.
+/// Direction of a pixel of a level with this many columns.
 pub fn direction(columns: usize, pixel: usize) -> Ray {
     let (row, column) = ((pixel / columns) as f64, (pixel % columns) as f64);
     at(columns, column, row)
@@ -99,7 +99,7 @@ pub const CELL_COLUMNS: usize = 48;
 /// All cells.
 pub const CELLS: usize = CELL_COLUMNS * CELL_COLUMNS / 2;
 
-/// Where a pixel is on the sphere.
+/// Place of a pixel on the sphere.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PixelPlace {
     /// Its direction in the camera's frame.
@@ -128,16 +128,16 @@ impl PixelPlace {
 /// Averages frames of one camera to the finest level.
 #[derive(Debug, Clone)]
 pub struct Sampler {
-    /// Whether rows and columns of the camera are blocks of the level's.
+    /// Whether blocks of the camera's rows and columns are pixels of the level.
     block: Option<usize>,
-    /// Otherwise, for each pixel of the level, columns and rows of the camera's pixels.
+    /// Otherwise, columns and rows of the camera's pixels for each pixel of the level.
     table: Vec<[(u32, u32); SAMPLES * SAMPLES]>,
-    /// For each level its pixels' directions; `None` where the camera sees nothing.
+    /// Directions of the pixels of each level; `None` where the camera sees nothing.
     directions: Vec<Vec<Option<PixelPlace>>>,
 }
 
 impl Sampler {
-    /// For this camera, and what `mask` leaves of it.
+    /// Creates the sampler of this camera, without the parts that `mask` hides.
     pub fn new(camera: &Camera, mask: &Mask) -> Self {
         let is_seen = |ray: &Ray| !mask.hides(ray) && camera.project(ray).is_some();
         let of_level = |columns: usize| {
@@ -159,7 +159,7 @@ impl Sampler {
         Self { block: None, table, directions }
     }
 
-    /// The place of a pixel of the level with so many columns. `None` if it is not seen.
+    /// Place of a pixel of the level with this many columns. `None` if the camera does not see it.
     pub fn place(&self, columns: usize, pixel: usize) -> Option<PixelPlace> {
         let level = (COLUMNS / columns).trailing_zeros() as usize;
         self.directions.get(level)?.get(pixel).copied().flatten()
@@ -206,7 +206,7 @@ fn samples(camera: &Camera, pixel: usize) -> [(u32, u32); SAMPLES * SAMPLES] {
 }
 
 /// Averages blocks of `side` x `side` pixels, of which every other row is enough where there are
-/// many. Rows below [`LOWEST_DEG`] are not read: they are as the last one above.
+/// many. Rows below [`LOWEST_DEG`] are not read: they repeat the last one above.
 fn averaged(frame: &SphereImage<'_>, side: usize) -> Vec<f32> {
     let (pixels, stride) = (frame.pixels(), frame.stride());
     let width = COLUMNS * side;
@@ -252,7 +252,7 @@ pub(super) fn rows_read() -> usize {
 
 /// Pixels that are summed in one word.
 const EIGHT: usize = 8;
-/// Rows that may be added to a word before a lane, or the sum of the four, exceeds 16 bits.
+/// Most rows in a word before a lane, or the sum of the four, exceeds 16 bits.
 const MOST_ROWS: usize = 32;
 /// Every other byte of a word.
 const EVERY_OTHER: u64 = 0x00ff_00ff_00ff_00ff;

@@ -1,26 +1,25 @@
-//! The camera's own rotation between two frames, seen in the sphere itself: a visual gyroscope.
+//! The camera's own rotation between two frames, from the sphere image: a visual gyroscope.
 //!
 //! Both frames are averaged to 480x240 pixels, and to two levels below. Points with texture of the
-//! earlier frame are looked up in the later one, and the rotation that makes them agree is found by
-//! robust Gauss-Newton steps, coarse level first. Beside the rotation there are five more unknowns:
-//! the camera's translation over one common distance (a point at direction d moves by t - d (d t)),
-//! and the gain and offset of the brightness. Steps are taken on the earlier frame's gradients
-//! (inverse compositional: Baker and Matthews, Lucas-Kanade 20 Years On, 2004), so they are
-//! computed once.
+//! earlier frame are looked up in the later one. Robust Gauss-Newton steps find the rotation with
+//! the least differences, coarse level first. Beside the rotation there are five more unknowns: the
+//! camera's translation over one common distance (a point at direction d moves by t - d (d t)), and
+//! the gain and offset of the brightness. Steps are taken on the earlier frame's gradients (inverse
+//! compositional: Baker and Matthews, Lucas-Kanade 20 Years On, 2004), so they are computed once.
 //!
-//! What stays put while the camera turns is the drone itself. It is learned and left out
-//! ([`own_airframe`]), because it would pull the rotation towards none.
+//! The drone itself stays in place in the picture while the camera turns. It is detected and left
+//! out ([`own_airframe`]), because it would pull the rotation towards zero.
 //!
-//! The covariance does not take pixels as independent: residuals are summed by sectors of the
-//! sphere, and the scatter of these sums says how certain the rotation is (a cluster-robust or
-//! sandwich covariance: Liang and Zeger, Biometrika 73, 1986).
+//! The covariance does not assume independent pixels. Residuals are summed by sectors of the
+//! sphere, and the covariance follows from the scatter of these sums (a cluster-robust or sandwich
+//! covariance: Liang and Zeger, Biometrika 73, 1986).
 //!
 //! | module | what it does |
 //! | --- | --- |
 //! | [`grid`] | the sphere as small images of longitude and latitude |
 //! | [`points`] | points with texture, and their gradients |
 //! | [`solve`] | the rotation between two frames |
-//! | [`own_airframe`] | where the drone sees itself |
+//! | [`own_airframe`] | where the picture shows the drone itself |
 
 pub mod grid;
 mod normal_equations;
@@ -28,15 +27,15 @@ pub mod own_airframe;
 pub mod points;
 pub mod solve;
 
+use flockeye_geometry::ego_rotation::Turned;
 use nalgebra::UnitQuaternion;
 
 use self::grid::{CELLS, Level, Sampler};
 use self::own_airframe::AirframeCell;
 use self::points::{MIN_POINTS, TexturePoint, points_of};
-pub use self::solve::CameraRotation;
 use crate::sphere::SphereImage;
 
-/// A rotation that is less certain than this says nothing, radians (half a degree).
+/// Largest standard deviation of a usable rotation, radians (half a degree).
 const MAX_SIGMA_RAD: f64 = 0.0087;
 
 /// Follows the camera's rotation from frame to frame.
@@ -45,9 +44,9 @@ pub struct Gyroscope {
     sampler: Sampler,
     /// The frame before, with its points, at all levels.
     earlier: Option<(Vec<Level>, Vec<Vec<TexturePoint>>)>,
-    /// Where the next solution is looked for: the last rotation.
+    /// Start of the next solution: the last rotation.
     last: UnitQuaternion<f64>,
-    /// By cell, where the drone sees itself.
+    /// Statistics of each cell, from which the own airframe is detected.
     airframe: Vec<AirframeCell>,
 }
 
@@ -58,19 +57,19 @@ impl Gyroscope {
         Self { sampler, earlier: None, last: UnitQuaternion::identity(), airframe }
     }
 
-    /// Takes the next frame, and says how the camera has turned since the one before. `expected` is
-    /// the rotation to start from where something else knows it; otherwise the last one is.
+    /// Handles the next frame, and returns the camera's rotation since the one before. The start is
+    /// `expected` from another source, or else the last rotation.
     ///
-    /// `None` for the first frame, and where the picture does not tell: there is no texture, or too
-    /// little of it agrees.
+    /// `None` for the first frame, and where the picture does not determine the rotation: too
+    /// little texture, or too little of it fits.
     pub fn next(
         &mut self,
         frame: &SphereImage<'_>,
         expected: Option<UnitQuaternion<f64>>,
-    ) -> Option<CameraRotation> {
+    ) -> Option<Turned> {
         let pyramid = self.sampler.pyramid(frame);
         let points: Vec<_> = pyramid.iter().map(|level| points_of(level, &self.sampler)).collect();
-        // A frame without texture agrees with any other, but for the brightness.
+        // A frame without texture matches any other, up to the brightness.
         let is_plain = points.iter().all(|points| points.len() < MIN_POINTS);
         let found = self.earlier.as_ref().filter(|_| !is_plain).and_then(|(_, points)| {
             let found = solve::rotation(points, &pyramid, expected, self.last, &self.airframe)?;
@@ -91,7 +90,7 @@ impl Gyroscope {
     }
 }
 
-/// Learns where the drone sees itself, from how well points agree that turn and that stay.
+/// Updates the detection of the own airframe, from the residuals of points that turn and that stay.
 fn learn(
     airframe: &mut [AirframeCell],
     rotation: &UnitQuaternion<f64>,

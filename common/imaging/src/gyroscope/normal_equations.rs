@@ -2,13 +2,13 @@
 
 use nalgebra::{SMatrix, SVector};
 
-/// Three of the rotation, three of the translation, offset and gain.
+/// Number of unknowns: three of the rotation, three of the translation, offset and gain.
 pub(super) const UNKNOWNS: usize = 8;
 
 pub(super) type Gradient = SVector<f64, UNKNOWNS>;
 type Matrix8 = SMatrix<f64, UNKNOWNS, UNKNOWNS>;
 
-/// Sums over points, of some in single precision: several fit into a register.
+/// Sums over points. Some are in single precision, because several fit into a register.
 #[derive(Debug, Clone)]
 pub(super) struct NormalEquations {
     normal: Matrix8,

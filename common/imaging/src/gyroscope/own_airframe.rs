@@ -1,17 +1,18 @@
-//! Where the drone sees itself: what stays put in the picture while the camera turns.
+//! Detection of the own airframe: parts of the picture that stay in place while the camera turns.
 
-/// Only where a point must have moved by so many pixels does the comparison say anything.
+/// Least motion of a point for a meaningful comparison, pixels.
 const MIN_MOVED_PX: f32 = 0.7;
-/// What was noted is halved after about so many points of a cell.
+/// Number of points in a cell after which its statistics are halved.
 const MEMORY: f32 = 180.0;
-/// Least number of points seen in a cell before it is left out.
+/// Least number of points in a cell before it is left out.
 const MIN_CELL_POINTS: f32 = 13.0;
-/// A cell is the airframe's where points that stay agree so many times better, in squares.
+/// Ratio of squared residuals from which a cell belongs to the airframe, because staying points fit
+/// better.
 const RATIO: f32 = 2.0;
-/// Residuals count up to this, code values.
+/// Limit on residuals, code values.
 const MAX_RESIDUAL: f32 = 20.0;
 
-/// How well the points of a cell agree that turn with the world, and that stay with the drone.
+/// Residuals of a cell's points if they turn with the world, and if they stay with the drone.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct AirframeCell {
     points: f32,
@@ -20,12 +21,12 @@ pub struct AirframeCell {
 }
 
 impl AirframeCell {
-    /// Whether the cell shows the drone itself, as far as is known.
+    /// Whether the cell shows the drone itself, by its statistics.
     pub fn is_airframe(&self) -> bool {
         self.points > MIN_CELL_POINTS && self.turning > RATIO * self.staying
     }
 
-    /// Notes how well a point of the cell agrees with the later frame, code values: `turning` with
+    /// Records the residuals of a point of the cell in the later frame, code values: `turning` with
     /// the rotation, `staying` without it. The rotation moves it by `moved_px`.
     pub fn note(&mut self, turning: f32, staying: f32, moved_px: f32) {
         if moved_px < MIN_MOVED_PX {

@@ -4,17 +4,17 @@ use nalgebra::Vector3;
 
 use super::grid::{COLUMNS, Level, PixelPlace, Sampler};
 
-/// A frame with fewer points at each level says nothing.
+/// Least number of points at each level of a usable frame.
 pub const MIN_POINTS: usize = 60;
-/// One point is taken of each block of so many pixels along a side, the one with the strongest
-/// gradient: on the finest level, and on the others.
+/// Side of the blocks, pixels, each with one point, that of the strongest gradient: on the finest
+/// level, and on the others.
 const BLOCKS: [usize; 2] = [6, 4];
-/// Weaker gradients say nothing beside noise and compression, code values per pixel.
+/// Least gradient that stands out from noise and compression, code values per pixel.
 const MIN_GRADIENT: f32 = 1.5;
-/// Columns are too narrow beyond this latitude, as a sine.
+/// Latitude beyond which columns are too narrow, as a sine.
 const MAX_SIN_LATITUDE: f32 = 0.97;
-/// Nothing is taken from below 40 degrees under the horizon. There are the drone's own legs and
-/// propellers, and the ground, which is nearer than all else: its parallax pulls the rotation. On a
+/// Lowest latitude of points: 40 degrees under the horizon. Below are the drone's own legs and
+/// propellers, and the ground. The ground is nearest, so its parallax pulls the rotation. On a
 /// rendered flight in wind this makes the median error 0.030 instead of 0.050 degrees a frame.
 const MIN_SIN_LATITUDE: f32 = -0.643;
 
@@ -25,9 +25,9 @@ pub struct TexturePoint {
     pub pixel: usize,
     /// Its value.
     pub value: f32,
-    /// Where it is on the sphere.
+    /// Its place on the sphere.
     pub place: PixelPlace,
-    /// How the value changes with the direction, code values per radian, across the direction.
+    /// Derivative of the value by the direction, code values per radian, across the direction.
     pub gradient: Vector3<f32>,
 }
 
@@ -103,7 +103,7 @@ fn point(level: &Level, sampler: &Sampler, row: usize, column: usize) -> Option<
     let across = 0.5 * (right - left);
     let down = 0.5 * (level.row(row + 1)[column] - level.row(row - 1)[column]);
     let per_radian = 1.0 / level.pixel_rad() as f32;
-    // Columns count against the longitude, rows against the latitude.
+    // Columns run against the longitude, rows against the latitude.
     let east = Vector3::new(-d.y, d.x, 0.0) / cos_latitude;
     let north = d.cross(&east);
     let gradient = (east * (-across / cos_latitude) - north * down) * per_radian;

@@ -1,5 +1,6 @@
 //! The rotation between two frames.
 
+use flockeye_geometry::ego_rotation::Turned;
 use nalgebra::{Matrix3, SVector, UnitQuaternion, Vector3};
 
 use super::grid::{CELL_COLUMNS, Level};
@@ -7,41 +8,30 @@ use super::normal_equations::{Gradient, NormalEquations, UNKNOWNS};
 use super::own_airframe::AirframeCell;
 use super::points::{MIN_POINTS, TexturePoint};
 
-/// Steps at each level, the finest first, where nothing says how the camera turned.
+/// Steps at each level, the finest first, without an expected rotation.
 const STEPS: [usize; 3] = [3, 3, 5];
-/// Steps at each level where a turn is expected within tenths of a degree.
+/// Steps at each level with an expected rotation that is right within tenths of a degree.
 const EXPECTED_STEPS: [usize; 3] = [2, 2, 0];
-/// The last rotation is a better start than the expected one if residuals are smaller by so much on
-/// the coarsest level: a clock that jumps expects too much.
+/// Ratio of residuals on the coarsest level below which the last rotation is a better start than
+/// the expected one. After a clock jump the expected rotation is too large.
 const BETTER: f32 = 0.8;
-/// A shorter step ends a level, radians.
+/// Length of a step that ends a level, radians.
 const SHORT_RAD: f64 = 2e-5;
-/// The scale of the residuals is at least this, code values: quantization.
+/// Least scale of the residuals, code values: quantization.
 const MIN_SCALE: f32 = 0.3;
-/// Residuals beyond this many scales weigh half (Cauchy).
+/// Scales at which residuals have half the weight (Cauchy).
 const CAUCHY: f32 = 2.4;
-/// Things are nearer and farther than the one distance that the translation counts for. So much of
-/// the parallax may look like a rotation.
+/// Share of the parallax that may appear as a rotation, because objects are not all at the one
+/// distance of the translation.
 const PARALLAX_SHARE: f64 = 0.07;
-/// Standard deviation about each axis that interpolation on the grid leaves, in its pixels. In
-/// simulated gusts without parallax or texture that moves, errors were 0.02 degrees in the median,
-/// 0.027 of a pixel.
+/// Standard deviation about each axis from interpolation on the grid, in its pixels. In simulated
+/// gusts without parallax or moving texture, errors were 0.02 degrees in the median, 0.027 of a
+/// pixel.
 const GRID_SIGMA_PX: f64 = 0.018;
 /// Sectors whose sums count as independent: columns and rows.
 const SECTORS: [usize; 2] = [12, 6];
 
-/// The camera's rotation from one frame to the next.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct CameraRotation {
-    /// Turns directions in the earlier camera's frame into the later one's.
-    pub later_from_earlier: UnitQuaternion<f64>,
-    /// Covariance of the rotation vector in the later camera's frame, radians squared.
-    pub covariance: Matrix3<f64>,
-    /// Points that it rests on.
-    pub points: usize,
-}
-
-/// How a direction of the earlier frame comes into the later one.
+/// Mapping of a direction from the earlier frame to the later one.
 #[derive(Debug, Clone, Copy)]
 struct Warp {
     rotation: UnitQuaternion<f64>,
@@ -54,15 +44,15 @@ struct Warp {
 /// The rotation from the points of an earlier frame to a later frame, both at all levels, the
 /// finest first. `None` where there is too little texture.
 ///
-/// The start is `expected`, which something else knows, or else the rotation before, `last`. Also
-/// returns the later less earlier code values of all points of the last level.
+/// The start is `expected` from another source, or else the previous rotation, `last`. Also returns
+/// the later less earlier code values of all points of the last level.
 pub fn rotation(
     points: &[Vec<TexturePoint>],
     later: &[Level],
     expected: Option<UnitQuaternion<f64>>,
     last: UnitQuaternion<f64>,
     airframe: &[AirframeCell],
-) -> Option<(CameraRotation, Vec<f32>)> {
+) -> Option<(Turned, Vec<f32>)> {
     let (start, steps) = match expected {
         Some(expected) if is_as_expected(points, later, &expected, &last, airframe) => {
             (expected, EXPECTED_STEPS)
@@ -93,8 +83,7 @@ pub fn rotation(
     let of_counted: Vec<f32> = counted.iter().map(|&index| residuals[index]).collect();
     let pixel_rad = later.first()?.pixel_rad();
     let covariance = covariance(points, &counted, &of_counted, &warp, pixel_rad)?;
-    let (later_from_earlier, points) = (warp.rotation, counted.len());
-    Some((CameraRotation { later_from_earlier, covariance, points }, residuals))
+    Some((Turned { later_from_earlier: warp.rotation, covariance }, residuals))
 }
 
 /// The points of a level that do not show the drone itself.
@@ -102,7 +91,7 @@ fn counted_of(points: &[TexturePoint], airframe: &[AirframeCell]) -> Vec<usize> 
     (0..points.len()).filter(|&index| !airframe[points[index].place.cell].is_airframe()).collect()
 }
 
-/// Whether the coarsest level agrees with the expected rotation about as well as with the last.
+/// Whether the expected rotation fits the coarsest level about as well as the last one.
 fn is_as_expected(
     points: &[Vec<TexturePoint>],
     later: &[Level],
@@ -140,7 +129,7 @@ impl Warp {
     }
 }
 
-/// Later less earlier values of the counted points.
+/// Later less earlier values of the given points.
 fn residuals(points: &[TexturePoint], counted: &[usize], level: &Level, warp: &Warp) -> Vec<f32> {
     #[cfg(target_arch = "x86_64")]
     if std::arch::is_x86_feature_detected!("avx2") {
@@ -162,7 +151,7 @@ fn residuals_avx2(
     residuals_plain(points, counted, level, warp)
 }
 
-/// Points whose places are worked out together, so that the compiler can vectorize it.
+/// Number of points whose places are computed together, so that the compiler can vectorize it.
 const LANES: usize = 8;
 
 #[inline(always)]
@@ -193,7 +182,7 @@ fn residuals_plain(
     residuals
 }
 
-/// Columns and rows of a level at which directions, turned, are seen.
+/// Columns and rows of a level for rotated directions.
 #[inline(always)]
 fn places(
     directions: &[[f32; LANES]; 3],
@@ -230,7 +219,7 @@ fn angle(y: f32, x: f32) -> f32 {
     if y < 0.0 { -upper } else { upper }
 }
 
-/// How the value of a point changes with the unknowns.
+/// Derivative of a point's value by the unknowns.
 #[inline(always)]
 fn row(point: &TexturePoint) -> [f32; UNKNOWNS] {
     let turn = point.place.direction.cross(&point.gradient);
@@ -238,7 +227,7 @@ fn row(point: &TexturePoint) -> [f32; UNKNOWNS] {
     [turn.x, turn.y, turn.z, g.x, g.y, g.z, 1.0, point.value]
 }
 
-/// The scale of residuals, from their median. A thousand of them say it well enough.
+/// The scale of residuals, from the median of about a thousand of them.
 fn scale_of(residuals: &[f32]) -> f32 {
     let every = residuals.len().div_ceil(1024).max(1);
     let mut sizes: Vec<f32> =
@@ -248,7 +237,7 @@ fn scale_of(residuals: &[f32]) -> f32 {
     (1.4826 * *median).max(MIN_SCALE)
 }
 
-/// Points near the poles stand for less of the sphere.
+/// Weight of a point. Points near the poles cover less of the sphere.
 #[inline(always)]
 fn weight(point: &TexturePoint, residual: f32, scale: f32) -> f32 {
     point.place.cos_latitude / (1.0 + (residual / (CAUCHY * scale)).powi(2))
@@ -286,7 +275,7 @@ fn sum_plain(points: &[TexturePoint], counted: &[usize], residuals: &[f32]) -> N
     equations
 }
 
-/// The covariance of the rotation from how the sums of sectors scatter.
+/// Covariance of the rotation from the scatter of the sums of sectors.
 fn covariance(
     points: &[TexturePoint],
     counted: &[usize],

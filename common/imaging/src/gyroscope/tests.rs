@@ -45,7 +45,7 @@ fn frame(
         .collect()
 }
 
-fn next(gyroscope: &mut Gyroscope, pixels: &[u8]) -> Option<CameraRotation> {
+fn next(gyroscope: &mut Gyroscope, pixels: &[u8]) -> Option<Turned> {
     let image = SphereImage::new(pixels, WIDTH as usize, camera()).unwrap();
     gyroscope.next(&image, None)
 }
@@ -54,7 +54,7 @@ fn nothing_of_itself(_: &Vector3<f64>) -> Option<f64> {
     None
 }
 
-fn error_deg(found: &CameraRotation, truth: &UnitQuaternion<f64>) -> f64 {
+fn error_deg(found: &Turned, truth: &UnitQuaternion<f64>) -> f64 {
     found.later_from_earlier.angle_to(truth).to_degrees()
 }
 

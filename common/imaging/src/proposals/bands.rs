@@ -1,8 +1,8 @@
 //! The sphere at a lower resolution, in bands of latitude.
 //!
 //! Near the poles an equirectangular image is stretched along its rows. So bands towards them have
-//! a half and a quarter of the columns: a pixel is then less than twice as wide in the image as it
-//! is high, and shapes nearly keep theirs, but for the last degrees.
+//! a half and a quarter of the columns. Then a pixel is less than twice as wide as it is high, and
+//! shapes stay nearly the same, except in the last degrees.
 
 use std::f64::consts::{PI, TAU};
 use std::ops::Range;
@@ -11,9 +11,9 @@ use flockeye_geometry::camera::SpherePixel;
 
 use crate::sphere::SphereImage;
 
-/// Where bands begin and end, shares of the height from the upper border, and by which power of two
-/// their columns are reduced further. Bands overlap by 7 degrees or more, so that a body at 1 m is
-/// whole in one.
+/// Beginning and end of each band, shares of the height from the upper border, with the power of
+/// two by which its columns are reduced further. Bands overlap by 7 degrees or more, so that a body
+/// at 1 m is whole in one.
 const BANDS: [(f64, f64, u32); 5] =
     [(0.0, 0.11, 2), (0.06, 0.20, 1), (0.14, 0.86, 0), (0.80, 0.94, 1), (0.89, 1.0, 2)];
 
@@ -34,7 +34,7 @@ pub(super) struct Band {
     pub factor: usize,
 }
 
-/// The bands of a sphere image reduced to so many columns at the equator, about. Images of a few
+/// The bands of a sphere image reduced to about this many columns at the equator. Images of a few
 /// pixels have none.
 pub(super) fn bands(width: usize, height: usize, columns: usize) -> impl Iterator<Item = Band> {
     let factor = (width / columns).max(1);
@@ -47,13 +47,13 @@ pub(super) fn bands(width: usize, height: usize, columns: usize) -> impl Iterato
 }
 
 impl Band {
-    /// Whether a region of these columns is neither cut at the seam nor found twice.
+    /// Whether a region of these columns is neither cut at the seam nor a duplicate.
     pub fn has_whole(&self, left: usize, right: usize) -> bool {
-        // What begins in the first column goes on before the seam, and is whole behind it.
+        // A region in the first column continues before the seam, and is whole behind it.
         left > 0 && left <= self.columns && right + 1 < self.columns + SEAM
     }
 
-    /// By how much its columns are reduced further than its rows.
+    /// Factor by which its columns are reduced further than its rows.
     pub fn stretch(&self) -> usize {
         1 << self.halvings
     }

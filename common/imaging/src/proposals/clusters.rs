@@ -1,26 +1,27 @@
-//! Squares that lie as near to each other as those of a body.
+//! Groups of squares at distances like those of a body's squares.
 
 use nalgebra::{Unit, Vector3};
 
 use super::proposal::{MarkerSizes, Proposal};
 use super::squares::DarkSquare;
 
-/// Squares of a body whose looks count: those with the most contrast.
+/// Number of a body's squares whose appearance counts: those with the most contrast.
 const MOST_SQUARES: usize = 6;
 
-/// Sides of squares of one body differ by this ratio at most: some are seen at an angle.
+/// Largest ratio between the sides of squares of one body: some are seen at an angle.
 const MAX_SIDE_RATIO: f64 = 2.5;
 
-/// From a square, others of its body are this near, and what lies beyond, up to the second, is not
-/// of its body, radii. Windows and tiles have more of their like there.
+/// Radius within which other squares belong to the same body, and radius up to which they are its
+/// surroundings, in radii of the body. Windows and tiles have more similar squares in the
+/// surroundings.
 const NEAR_RADII: f64 = 1.6;
 const BESIDE_RADII: f64 = 3.6;
 
-/// A square that is nearer than this is another outline of the same one, sides.
+/// Distance below which two squares are outlines of the same one, sides.
 const SAME_SIDES: f64 = 0.4;
 
-// How much each of a proposal's looks counts for it: from a logistic regression over proposals in
-// simulated, rendered and photographed scenes (docs/FUSION.md). All but the last weigh logarithms.
+// Weight of each feature of a proposal, from a logistic regression over proposals in simulated,
+// rendered and photographed scenes (docs/FUSION.md). All but the last weigh logarithms.
 const WEIGHT_OF_SQUARES: f64 = 1.0;
 const WEIGHT_OF_BESIDE: f64 = -1.3;
 const WEIGHT_OF_TEXTURE: f64 = 1.9;
@@ -34,7 +35,7 @@ pub(super) fn cluster(
     sizes: &MarkerSizes,
     most: usize,
 ) -> Vec<Proposal> {
-    // From the nadir to the zenith: neighbours are near each other in the order.
+    // Sorted from the nadir to the zenith, so that neighbours are near each other in the order.
     squares.sort_by(|a, b| a.direction_in_camera.z.total_cmp(&b.direction_in_camera.z));
     let mut found: Vec<Proposal> =
         (0..squares.len()).map(|place| proposal(squares, place, sizes)).collect();
@@ -55,7 +56,7 @@ pub(super) fn cluster(
     kept
 }
 
-/// The square at a place in the order, with those round it.
+/// Cluster of the square at an index of the order, with its neighbours.
 fn proposal(squares: &[DarkSquare], place: usize, sizes: &MarkerSizes) -> Proposal {
     let own = &squares[place];
     let from = own.direction_in_camera.into_inner();
@@ -99,7 +100,7 @@ fn proposal(squares: &[DarkSquare], place: usize, sizes: &MarkerSizes) -> Propos
     Proposal { direction_in_camera: Unit::new_normalize(middle), side_rad: own.side_rad, score }
 }
 
-/// Puts a square among the best, those with the most contrast, if there is room.
+/// Inserts a square among those with the most contrast, if there is room.
 fn keep_best<'s>(best: &mut [Option<&'s DarkSquare>; MOST_SQUARES], square: &'s DarkSquare) {
     let contrast = |square: &Option<&DarkSquare>| square.map_or(0.0, |square| square.contrast);
     let mut new = Some(square);

@@ -4,11 +4,11 @@ use std::ops::Range;
 
 use crate::image::LumaImage;
 
-/// Side of the blocks whose means stand for the surroundings, pixels of the reduced image.
+/// Side of the blocks whose means represent the surroundings, pixels of the reduced image.
 const BLOCK: usize = 4;
 
-/// Blocks to each side of a pixel's own that are its surroundings. With the own one that makes 20
-/// pixels of the reduced image: in a quick look, a marker at 2 m with its quiet zone is half of it.
+/// Blocks of the surroundings on each side of a pixel's own block. Together they are 20 pixels of
+/// the reduced image wide. In a quick search, a marker at 2 m with its quiet zone is half as wide.
 const REACH: usize = 2;
 const ACROSS: usize = 2 * REACH + 1;
 
@@ -63,7 +63,7 @@ impl DarkRuns {
             self.sums.clear();
             self.sums.resize(across * BLOCK, 0);
             for k in 0..BLOCK {
-                // The last row and column stand for those outside the image.
+                // The last row and column are repeated outside the image.
                 let row = grey.row((block * BLOCK + k).min(height - 1));
                 for (sum, &pixel) in self.sums.iter_mut().zip(row) {
                     *sum += u16::from(pixel);
@@ -119,7 +119,7 @@ fn collect_runs(row: &[u8], runs: &mut Vec<Range<u16>>) {
             let packed = u64::from_le_bytes(*pixels).wrapping_mul(0x0102_0408_1020_4080) >> 56;
             bits |= packed << (8 * k);
         }
-        // Where a pixel differs from the one before.
+        // Bits at which a pixel differs from the one before.
         let mut edges = bits ^ (bits << 1 | last);
         last = bits >> 63;
         while edges != 0 {

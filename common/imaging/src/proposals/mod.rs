@@ -1,15 +1,15 @@
-//! Where a neighbour may be: places of the whole sphere that look like a body with markers.
+//! Proposals of neighbours: places of the whole sphere that look like a body with markers.
 //!
-//! It is a fast look at the whole picture. What it proposes is cut and read as any other view; what
-//! it misses the tiles find. `docs/FUSION.md` says what its constants were read from.
+//! It is a fast search of the whole picture. Proposals are cut and read like any other view. Tiles
+//! find the bodies that it misses. `docs/FUSION.md` has the sources of its constants.
 //!
-//! 1. The picture is reduced to the resolution of the look ([`Detail`]), in bands of latitude
-//!    ([`bands`]).
+//! 1. The picture is reduced to the resolution of the search ([`Detail`]), in bands of latitude
+//!    (`bands`).
 //! 2. Runs of pixels that are darker than their surroundings ([`dark`]) are joined to regions
 //!    ([`regions`]).
 //! 3. Regions as large as a marker, with a brighter surround on each side, are squares
 //!    ([`squares`]).
-//! 4. Squares that lie as near to each other as those of a body make a proposal ([`clusters`]).
+//! 4. Squares at distances like those of a body make a proposal ([`clusters`]).
 
 mod bands;
 mod clusters;
@@ -30,16 +30,16 @@ pub use proposal::{MarkerSizes, Proposal};
 use regions::Regions;
 use squares::{DarkSquare, square};
 
-/// By how many code values a marker's pixels are darker than the mean of their surroundings.
+/// Least difference of a marker's pixels from the mean of their surroundings, code values.
 const DARKER_BY: u8 = 5;
 
-/// How closely a picture is looked at.
+/// Resolution of the search.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Detail {
-    /// At 1920 columns, about: a marker of 12 px of 3840 has 6 then.
+    /// About 1920 columns: a marker of 12 px at 3840 columns has 6 px.
     #[default]
     Quick,
-    /// At 3840 columns: markers of 7 px are found too. It takes four times as long.
+    /// 3840 columns: markers of 7 px are found too. It takes four times as long.
     Thorough,
 }
 
@@ -105,7 +105,7 @@ impl Proposer {
         for band in bands(width, height, detail.columns()) {
             let width = band.reduce(image, &mut self.rows, &mut self.grey);
             let height = self.grey.len() / width;
-            // Bands have pixels, and rows without gaps: nothing is refused here.
+            // Bands have pixels, and rows without gaps, so nothing is refused here.
             let Ok(grey) = LumaImage::new(&self.grey, width, height, width) else { continue };
             self.regions.clear();
             self.dark.runs(&grey, DARKER_BY, |row, runs| self.regions.add(row, runs));

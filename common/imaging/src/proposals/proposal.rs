@@ -1,8 +1,8 @@
-//! What is searched for, and what is found.
+//! Input and output of the search for proposals.
 
 use flockeye_geometry::Ray;
 
-/// What is searched for.
+/// Sizes of the markers to search for.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct MarkerSizes {
     /// Apparent side of the smallest marker at the farthest distance, radians.
@@ -20,6 +20,6 @@ pub struct Proposal {
     pub direction_in_camera: Ray,
     /// Apparent side of its markers, radians.
     pub side_rad: f64,
-    /// How much it looks like a body: a logarithm, higher is better.
+    /// Similarity to a body: a logarithm, higher is better.
     pub score: f64,
 }

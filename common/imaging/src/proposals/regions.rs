@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-/// A region of dark pixels: the box round it, and how many there are.
+/// A region of dark pixels: its bounding box and its area.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Region {
     pub left: u16,
@@ -113,7 +113,7 @@ impl Region {
     }
 }
 
-/// The label that stands for all that were joined with one.
+/// The label that represents all labels joined with this one.
 fn root(parents: &mut [u32], mut label: u32) -> u32 {
     while parents[label as usize] != label {
         let next = parents[parents[label as usize] as usize];

@@ -12,21 +12,21 @@ use super::regions::Region;
 use crate::image::LumaImage;
 use crate::sphere::SphereImage;
 
-/// How far a region's longer side may be below and above the markers' sizes. Blur joins a marker
-/// with nothing and takes some of its border away; one seen at an angle is shorter.
+/// Tolerance of a region's longer side below and above the markers' sizes. Blur reduces a marker's
+/// border, and a marker seen at an angle is shorter.
 const SIZE_TOLERANCE: (f64, f64) = (0.6, 1.5);
 
-/// Least ratio of a region's sides: a marker at 65 degrees has 0.4, and blur takes some.
+/// Least ratio of a region's sides: a marker at 65 degrees has 0.4, and blur reduces it.
 const MIN_ASPECT: f64 = 0.3;
 
-/// Least share of its box that a region fills: the box of a square that stands on its corner is
-/// filled by half, and white cells leave holes.
+/// Least share of its box that a region fills. A square on its corner fills half of its box, and
+/// white cells leave holes.
 const MIN_FILL: f64 = 0.35;
 
-/// By how many code values each side's surround is brighter than the inside, at least.
+/// Least difference between each side's surround and the inside, code values.
 const MIN_CONTRAST: f32 = 4.0;
 
-/// The share of a square's box whose texture counts, to each side of its middle: the cells.
+/// Share of a square's box with the texture of the cells, to each side of its middle.
 const CELLS_SHARE: f64 = 0.35;
 
 /// A dark region that may be a marker.
@@ -35,9 +35,10 @@ pub(super) struct DarkSquare {
     pub direction_in_camera: Ray,
     /// Its longer side, radians.
     pub side_rad: f64,
-    /// The inside against the darkest side of the surround, code values.
+    /// Contrast of the inside with the darkest side of the surround, code values.
     pub contrast: f32,
-    /// How far the brightest side of the surround is above the darkest, as a share of the contrast.
+    /// Difference between the brightest and the darkest side of the surround, as a share of the
+    /// contrast.
     pub unevenness: f32,
     /// Standard deviation of the cells' code values.
     pub texture: f32,
@@ -45,7 +46,7 @@ pub(super) struct DarkSquare {
     pub grain: f32,
 }
 
-/// The square that a region may be. The region lies in `grey`, which is this band of the image.
+/// The square that a region may be. The region is in `grey`, the image of this band.
 #[inline(always)]
 pub(super) fn square(
     region: &Region,
@@ -126,8 +127,8 @@ fn mean(grey: &LumaImage<'_>, columns: RangeInclusive<usize>, rows: RangeInclusi
     sum as f32 / count as f32
 }
 
-/// The texture and the grain of the middle of a box round `at`, at the picture's own
-/// resolution: a reduced marker at 2 m has no cells left.
+/// Texture and grain in the middle of a box around `at`, at the picture's own resolution. A reduced
+/// marker at 2 m has no visible cells.
 fn cells(
     image: &SphereImage<'_>,
     band: &Band,

@@ -17,9 +17,9 @@ pub(super) const MAX_STRIDE: usize = i16::MAX as usize;
 /// [`super::sample::sample`].
 ///
 /// # Safety
-/// Each position of the strip's first `rows` rows, rounded up to fours, must have 0 <= column <
-/// width - 1 and 0 <= row < height - 1 in whole pixels, and the stride must be at most
-/// [`MAX_STRIDE`].
+/// This applies to each position of the strip's first `rows` rows, rounded up to fours. It must
+/// have 0 <= column < width - 1 and 0 <= row < height - 1 in whole pixels. The stride must be at
+/// most [`MAX_STRIDE`].
 #[target_feature(enable = "avx2")]
 pub(super) unsafe fn cut_strip<const GATHERED: bool>(
     sphere: &SphereImage<'_>,
@@ -33,7 +33,8 @@ pub(super) unsafe fn cut_strip<const GATHERED: bool>(
     let (mut v, mut dv, ddv) = (load(&lines.value), load(&lines.step), load(&lines.growth));
 
     let upper = sphere.pixels().as_ptr();
-    // Two bytes earlier, so that the pair of the lower row is where it is blended in.
+    // Offset of two bytes back, which puts the pair of the lower row in the right place for the
+    // blend.
     let lower = upper.wrapping_add(sphere.stride() - 2);
     let offsets = offsets(strip, rows, sphere.stride());
     let right_byte = _mm256_setr_epi8(
@@ -78,9 +79,9 @@ pub(super) unsafe fn cut_strip<const GATHERED: bool>(
 /// Like [`cut_strip`], by the cubic. The grey values are those of [`super::sample::sample_cubic`].
 ///
 /// # Safety
-/// Each position of the strip's first `rows` rows, rounded up to fours, must have 1 <= column <
-/// width - 2 and 1 <= row < height - 2 in whole pixels, and the stride must be at most
-/// [`MAX_STRIDE`].
+/// This applies to each position of the strip's first `rows` rows, rounded up to fours. It must
+/// have 1 <= column < width - 2 and 1 <= row < height - 2 in whole pixels. The stride must be at
+/// most [`MAX_STRIDE`].
 #[target_feature(enable = "avx2")]
 pub(super) unsafe fn cut_strip_cubic<const GATHERED: bool>(
     sphere: &SphereImage<'_>,

@@ -17,7 +17,7 @@ const MAX_COLUMNS: u32 = 32;
 /// Rows of a view that one thread cuts at a time.
 const BAND_ROWS: u32 = 4 * MAX_ROWS;
 
-/// Fewer pixels than this are cut in less time than a thread needs to start.
+/// Pixels that are cut faster than a thread starts.
 const MIN_PIXELS_PER_THREAD: usize = 20_000;
 
 /// Neighbouring rows of a view.
@@ -109,7 +109,7 @@ impl Kernel {
         }
     }
 
-    /// Whether this way of sampling works on this processor, for this image.
+    /// Whether this kernel works on this processor for this image.
     pub fn works_on(self, sphere: &SphereImage<'_>) -> bool {
         match self {
             Self::Plain => true,
@@ -158,7 +158,7 @@ fn cut_band_avx2<const GATHERED: bool, const CUBIC: bool>(
     sphere: &SphereImage<'_>,
     band: RowBand<'_>,
 ) {
-    // A position has so many neighbours before itself, and after.
+    // Numbers of neighbours that a position has before and after itself.
     let (before, after) = if CUBIC { (1, 2) } else { (0, 1) };
     // Range of the positions whose neighbours all lie in the image, 1/65536 px.
     let inside = [sphere.camera.width(), sphere.camera.height()]

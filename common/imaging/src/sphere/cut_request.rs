@@ -1,4 +1,4 @@
-//! Which view is to be cut, and how.
+//! Request to cut a view.
 
 use flockeye_geometry::camera::Camera;
 use flockeye_geometry::view::View;
@@ -12,11 +12,11 @@ pub struct Cut {
     pub view: View,
     /// The distance for which it is exact, metres; see [`Camera::at_distance`].
     pub distance_m: f64,
-    /// How pixels are interpolated.
+    /// Interpolation between pixels.
     pub interpolation: Interpolation,
 }
 
-/// How the grey value between pixels is computed.
+/// Computation of the grey value between pixels.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Interpolation {
     /// From the four pixels around it.
@@ -28,7 +28,7 @@ pub enum Interpolation {
     Cubic,
 }
 
-/// Views magnified more than this, relative to the sphere image, benefit from cubic interpolation.
+/// Magnification, relative to the sphere image, above which views benefit from cubic interpolation.
 pub const MAGNIFIED: f64 = 1.25;
 
 impl Interpolation {
@@ -53,7 +53,7 @@ impl Cut {
         Self { interpolation: Interpolation::Cubic, ..Self::bilinear(view) }
     }
 
-    /// Refuses a view that shows nothing.
+    /// Refuses a view without content.
     pub fn check(&self) -> Result<(), SphereError> {
         let View { camera_from_view, focal_px, size_px } = self.view;
         // A comparison with NaN is false, so NaN is refused too.

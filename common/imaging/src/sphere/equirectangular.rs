@@ -75,7 +75,7 @@ impl Mapping for EquirectangularMapping {
     /// The error bound of the columns is strict. Longitude is the imaginary part of log(w) for w =
     /// x + iy, and w is linear over the view's plane, so the third derivative along a step s is at
     /// most 2 |s/w|^3. Quadratic interpolation through -1, 0, 1 leaves at most sqrt(3)/27 of it.
-    /// Interpolating along the other coordinate adds 5/4 of that one's error.
+    /// Interpolation along the other coordinate adds 5/4 of that error.
     ///
     /// The bound of the rows, 1 + 1/|w|^2 in units of the focal length, is an envelope of the
     /// errors found over random tiles.

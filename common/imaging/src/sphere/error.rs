@@ -1,9 +1,9 @@
-//! Why no view was cut.
+//! Errors of cutting views.
 
 /// Longest side of a sphere image or a view, pixels.
 pub const MAX_SIDE_PX: u32 = 16_384;
 
-/// Why no view was cut.
+/// Reason why no view was cut.
 #[allow(missing_docs, reason = "the messages say what each is")]
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum SphereError {

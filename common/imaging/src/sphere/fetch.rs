@@ -1,9 +1,9 @@
 //! Eight loads at once, in the way that is faster on this processor.
 //!
 //! AVX2's gather instruction is usually the fastest. Microcode against Downfall (CVE-2022-40982)
-//! slows it down on Intel's processors from Skylake to Tiger Lake, by a factor of ten where that
-//! was measured. There, single loads are faster. A virtual machine does not tell which processor it
-//! has, so both are timed once in each process.
+//! slows it down on Intel's processors from Skylake to Tiger Lake, by a measured factor of ten.
+//! There, single loads are faster. A virtual machine hides its processor, so both are timed once in
+//! each process.
 
 use std::arch::x86_64::*;
 use std::sync::LazyLock;

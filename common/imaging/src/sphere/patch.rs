@@ -52,7 +52,7 @@ pub(super) struct Series {
     pub value: [i32; LANES],
     /// The second value minus the first.
     pub step: [i32; LANES],
-    /// The second difference: how much each step is longer than the one before.
+    /// The second difference: growth of the step from one value to the next.
     pub growth: [i32; LANES],
 }
 
@@ -113,14 +113,15 @@ impl TilePositions {
 }
 
 impl Series {
-    /// Whether all of the first `rows` values lie within the limits, or `false` if it is not sure.
+    /// Whether all of the first `rows` values certainly lie within the limits.
     #[inline(always)]
     pub(super) fn stays_within(&self, rows: i32, [first, last]: [i32; 2]) -> bool {
         let steps = rows - 1;
         let mut is_inside = true;
         for k in 0..LANES {
             let (value, step, growth) = (self.value[k], self.step[k], self.growth[k]);
-            // So small that nothing below overflows: 32 rows of 32 px, with a curvature of as much.
+            // Limits within which nothing below overflows: 32 rows of 32 px, with a curvature of as
+            // much.
             let is_small = step.unsigned_abs() < 1 << 21 && growth.unsigned_abs() < 1 << 16;
             let end = value
                 .wrapping_add(step.wrapping_mul(steps))
@@ -134,7 +135,7 @@ impl Series {
         is_inside
     }
 
-    /// Moves on by one row.
+    /// Advances by one row.
     #[inline(always)]
     pub(super) fn advance(&mut self) {
         for k in 0..LANES {

@@ -1,48 +1,48 @@
-//! Poses of all drones from the pairs that see each other, by least squares.
+//! Poses of all drones from pairwise sightings, by least squares.
 //!
-//! A pose graph (Grisetti, Kümmerle, Stachniss, Burgard, "A Tutorial on Graph-Based SLAM", 2010):
-//! the drones are its nodes, and what one knows of the other's pose is an edge. Gauss-Newton moves
-//! all nodes but the first, which is the origin, until the edges fit best. The inverse of the
-//! normal matrix holds the covariances of the nodes, whatever chains and loops the edges form.
+//! A pose graph (Grisetti, Kümmerle, Stachniss, Burgard, "A Tutorial on Graph-Based SLAM", 2010).
+//! The drones are its nodes, and a relative pose of two drones is an edge. Gauss-Newton moves all
+//! nodes but the first, which is the origin, until the edges fit best. The inverse of the normal
+//! matrix contains the covariances of the nodes, for any chains and loops of edges.
 
 use flockeye_geometry::pose::pose_difference;
 use nalgebra::{DMatrix, DVector, Isometry3, Matrix6, Vector6};
 
 use crate::uncertain_pose::{UncertainPose, blocks};
 
-/// Steps; from a chain's poses two or three are enough.
+/// Maximum Gauss-Newton steps; two or three are enough from a chain's poses.
 const STEPS: usize = 8;
-/// A step below this (m, rad) ends the search.
+/// Step size below which the search ends, m and rad.
 const SMALL_STEP: f64 = 1e-7;
 
-/// What is known of the pose of drone `to` in the frame of drone `from`.
+/// An edge of the graph: the pose of drone `to` in the frame of drone `from`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PairPose {
     /// Number of the drone in whose frame the pose is.
     pub from: usize,
-    /// Number of the drone whose pose it is.
+    /// Number of the drone at the pose.
     pub to: usize,
-    /// The pose, and how certain it is.
+    /// The pose with its covariance.
     pub from_to: UncertainPose,
 }
 
-/// A drone's place in the frame of the first one.
+/// A drone's pose in the frame of the first one.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DroneNode {
     /// Its pose in the first drone's frame.
     pub pose: UncertainPose,
-    /// The drone that leads to it on the best chain of edges.
+    /// The drone before it on the best chain of edges.
     pub through: usize,
 }
 
-/// All that the edges say.
+/// The best fit to all edges.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Solution {
-    /// The drones; none for those that no edges lead to, and for the first.
+    /// The drones; none for drones that no edges lead to, and for the first.
     pub nodes: Vec<Option<DroneNode>>,
-    /// Sum of the squared Mahalanobis distances of all edges that lead somewhere.
+    /// Sum of the squared Mahalanobis distances of all usable edges.
     pub chi_square: f64,
-    /// Its degrees of freedom: what is measured more than once.
+    /// Its degrees of freedom: measured values less unknowns.
     pub degrees: usize,
 }
 
@@ -103,7 +103,7 @@ pub fn solve(drones: usize, edges: &[PairPose]) -> Solution {
     Solution { nodes, chi_square, degrees }
 }
 
-/// The first guess: each drone by the chain of edges whose end is most certain.
+/// Initial values: each drone's pose along the chain of edges with the smallest covariance.
 fn chain(drones: usize, edges: &[PairPose]) -> Vec<Option<DroneNode>> {
     let origin = UncertainPose { a_from_b: Isometry3::identity(), covariance: Matrix6::zeros() };
     let mut nodes: Vec<Option<DroneNode>> = vec![None; drones];
@@ -140,13 +140,13 @@ fn pose_of(nodes: &[Option<DroneNode>], drone: usize) -> Isometry3<f64> {
     nodes[drone].map_or_else(Isometry3::identity, |node| node.pose.a_from_b)
 }
 
-/// What the edge says, less what the nodes say, in the axes of the edge's first drone.
+/// The residual of an edge: its pose less that of the nodes, in the axes of the edge's first drone.
 fn residual(nodes: &[Option<DroneNode>], edge: &PairPose) -> Vector6<f64> {
     let said = pose_of(nodes, edge.from).inverse() * pose_of(nodes, edge.to);
     pose_difference(&edge.from_to.a_from_b, &said)
 }
 
-/// The normal equations at the nodes as they are.
+/// The normal equations at the current nodes.
 fn linearized(
     nodes: &[Option<DroneNode>],
     edges: &[(&PairPose, Matrix6<f64>)],

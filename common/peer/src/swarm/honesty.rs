@@ -1,9 +1,9 @@
-//! The observers whose sightings contradict the others'.
+//! Detection of observers whose sightings contradict the others'.
 //!
-//! If all are right, the graph of all sightings fits as well as their covariances say. If it does
-//! not, each observer is left out in turn, as in the monitoring of satellites' signals (RAIM;
-//! Parkinson and Axelrad, 1988): whoever's sightings make more of the misfit than chance can is
-//! wrong, the worst first.
+//! If all observers are right, the graph of all sightings fits as well as the covariances predict.
+//! Otherwise each observer is left out in turn, as in satellite navigation (RAIM; Parkinson and
+//! Axelrad, 1988). An observer is wrong if its sightings add more to the misfit than chance can;
+//! the worst goes first.
 
 use std::collections::BTreeSet;
 
@@ -11,12 +11,12 @@ use flockeye_geometry::filter::chi_square_quantile;
 
 use super::graph::{PairPose, solve};
 
-/// A misfit that chance makes less often than this is none of chance. Over a minute of checks, ten
-/// a second, of eight observers that is one false alarm in 200 minutes.
+/// Probability of a false alarm of one check. With eight observers and ten checks per second this
+/// is one false alarm in 200 minutes.
 const CHANCE: f64 = 1e-6;
 
-/// The observers whose sightings contradict the others'. `edges` are sightings: each `from` its
-/// observer. Drone 0 is oneself, and believed.
+/// The observers whose sightings contradict the others'. `edges` are sightings, each `from` its
+/// observer. Drone 0 is this drone, and always trusted.
 pub fn contradicting(drones: usize, edges: &[PairPose]) -> Vec<usize> {
     let mut left_out = Vec::new();
     let mut remaining = edges.to_vec();

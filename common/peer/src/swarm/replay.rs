@@ -1,15 +1,15 @@
-//! A filter whose measurements may come late and out of order.
+//! A filter for measurements that arrive late and out of order.
 //!
-//! One's own camera is heard of after some milliseconds, a peer's after its exposure, its work and
-//! the radio. A filter takes measurements in the order of their times. So the newest part of them
-//! is kept, the filter stands where that part begins, and each question runs it over the part
-//! again.
+//! Measurements of this drone's camera arrive after some milliseconds. Those of a peer take longer,
+//! through its processing and the radio. A filter needs measurements in the order of their times.
+//! So the newest measurements are kept, and the filter stays at the first of them. Each query runs
+//! a copy of it over the kept ones.
 //!
-//! How briskly two drones move is not known beforehand, and what is right for a gust is far too
-//! much for calm air: the filter then believes each new measurement rather than those before it,
-//! and gains nothing from a second observer. So filters for calmer and brisker motion run side by
-//! side. The one counts by which the measurements of the last second or so were likeliest (multiple
-//! models, Bar-Shalom, Li, Kirubarajan, section 11.6.2, with fading memory).
+//! The drones' accelerations are not known beforehand, and a setting for gusts is far too large for
+//! calm air. The filter would then follow each new measurement, and gain nothing from a second
+//! observer. So filters for several accelerations run side by side. The filter with the largest
+//! likelihood over about the last second is used. These are multiple models with fading memory
+//! (Bar-Shalom, Li, Kirubarajan, section 11.6.2).
 
 use std::collections::VecDeque;
 
@@ -19,25 +19,24 @@ use flockeye_geometry::pose::PoseEstimate;
 
 use crate::uncertain_pose::UncertainPose;
 
-/// Measurements that are so much older than the newest are taken in for good, seconds.
+/// Age relative to the newest measurement at which the filters take one in for good, seconds.
 const REPLAYED_S: f64 = 0.3;
-/// Maximum measurements that wait: two drones' at 60 frames/s, and some.
+/// Maximum measurements that wait: enough for two drones at 60 frames/s.
 const MOST_WAITING: usize = 64;
-/// A right measurement lies within the gate with this probability.
+/// Probability that a valid measurement lies within the gate.
 const GATE: f64 = 0.9999;
-/// After so many measurements outside the gate, one after the other, it is the filter that is
-/// wrong.
+/// Measurements in a row outside the gate after which the filter restarts.
 const MOST_MISSES: u32 = 5;
 
-/// Motion of the filters side by side, as shares of the briskest.
+/// Accelerations of the parallel filters, as shares of the largest.
 const BRISKNESS: [f64; 3] = [1.0, 0.35, 0.12];
-/// After so long a measurement says less by a factor of e of how briskly a drone moves, seconds.
+/// Time constant of the likelihoods' memory, seconds.
 const MEMORY_S: f64 = 1.0;
 
 /// The filter of one pose, `first_from_second`.
 #[derive(Debug, Clone)]
 pub struct Replay {
-    /// The filter at the first measurement that waits.
+    /// The filters at the first measurement that waits.
     filters: [Filter; BRISKNESS.len()],
     /// Measured poses, in the order of their times, seconds.
     waiting: VecDeque<(f64, UncertainPose)>,
@@ -48,12 +47,12 @@ struct Filter {
     motion: MotionModel,
     track: Option<MotionEstimate>,
     misses: u32,
-    /// How likely the last measurements were, as a logarithm.
+    /// Log likelihood of the last measurements.
     likelihood: f64,
 }
 
 impl Replay {
-    /// A filter without measurements. Drones move as `motion` says, or less briskly.
+    /// A filter without measurements. `motion` has the largest accelerations.
     pub fn new(motion: MotionModel) -> Self {
         let filter = |share| Filter {
             motion: MotionModel {
@@ -68,20 +67,20 @@ impl Replay {
         Self { filters: BRISKNESS.map(filter), waiting: VecDeque::new() }
     }
 
-    /// When it was measured last, seconds.
+    /// Time of the newest measurement, seconds.
     pub fn newest_s(&self) -> Option<f64> {
         let waiting = self.waiting.back().map(|(newest_s, _)| *newest_s);
         waiting.or_else(|| self.begins_s())
     }
 
-    /// When the measurements that wait begin, seconds.
+    /// Time of the filters, before the measurements that wait, seconds.
     fn begins_s(&self) -> Option<f64> {
         let begins = self.filters.iter().filter_map(|filter| filter.track.as_ref());
         begins.map(|track| track.stamp_s).reduce(f64::max)
     }
 
-    /// Takes in a pose that was measured at `at_s`, seconds, by a first drone that turns as `ego`
-    /// says. One that is older than all that is still kept is left out.
+    /// Adds a pose that was measured at `at_s`, seconds; `ego` is the rotation of the first drone.
+    /// One that is older than the filters is dropped.
     pub fn add(&mut self, at_s: f64, measured: UncertainPose, ego: &EgoRotation) {
         if !at_s.is_finite() || !measured.is_usable() {
             return;
@@ -100,8 +99,7 @@ impl Replay {
         }
     }
 
-    /// What is known at `at_s`; none before the first measurement, or so long after the last that
-    /// nothing is.
+    /// The estimate at `at_s`; none before the first measurement, or too long after the last.
     pub fn at(&self, at_s: f64, ego: &EgoRotation) -> Option<MotionEstimate> {
         let mut filters = self.filters.clone();
         for (waiting_s, measured) in self.waiting.iter().take_while(|(s, _)| *s <= at_s) {
@@ -113,7 +111,7 @@ impl Replay {
 }
 
 impl Filter {
-    /// Takes a measurement into the track, or begins one with it.
+    /// Updates the track with a measurement, or starts one.
     fn take(&mut self, at_s: f64, pose: &UncertainPose, ego: &EgoRotation) {
         let Some(track) = &mut self.track else {
             self.begin(at_s, pose);
@@ -136,7 +134,7 @@ impl Filter {
 
     fn begin(&mut self, at_s: f64, pose: &UncertainPose) {
         self.misses = 0;
-        // Measurements were checked when they came, so they can begin a track.
+        // Measurements were checked on arrival, so they can start a track.
         self.track = MotionEstimate::start(at_s, &estimate_of(pose), &self.motion).ok();
     }
 
@@ -145,7 +143,7 @@ impl Filter {
     }
 }
 
-/// The pose as the filter takes it: the second drone's in the axes of the first.
+/// The pose in the filter's type: the second drone's in the axes of the first.
 fn estimate_of(pose: &UncertainPose) -> PoseEstimate {
     PoseEstimate { camera_from_markers: pose.a_from_b, covariance: pose.covariance }
 }

@@ -1,4 +1,4 @@
-//! Where all drones are, as one of them would have it, estimated from sightings as they come.
+//! Poses of all drones relative to one of them, estimated from sightings as they arrive.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -14,66 +14,59 @@ use super::replay::Replay;
 use crate::report::PeerReport;
 use crate::uncertain_pose::UncertainPose;
 
-/// How long a drone's own rotation is kept, seconds: longer than reports are under way.
+/// Time for which this drone's rotation is kept, seconds: longer than reports are under way.
 const ROTATION_KEPT_S: f64 = 2.0;
 /// Maximum drones, this one included.
 pub(crate) const MOST_DRONES: usize = 64;
-/// A pair that nobody has measured for this long is forgotten, seconds.
+/// Time without a sighting after which a pair is dropped, seconds.
 const FORGOTTEN_S: f64 = 1.0;
-/// Deviation of a velocity in a report that has no measurements, m/s and rad/s: how far the pose
-/// may have gone since its exposure beyond what it says.
+/// Standard deviation of the velocity in a report without a measurement, m/s and rad/s. It widens
+/// the covariance with the time since the exposure.
 const REPORTED_VELOCITY_DEVIATION: f64 = 0.5;
-/// Motion as others see it, m/s^2 per root Hz; their rotation is not known, so what stands still
-/// seems to move when they turn. A drone that rolls by 12 degrees at 0.7 Hz sees a neighbour 1.5 m
-/// away accelerate by up to 6 m/s^2. Over a frame of 33 ms that is as much.
+/// Acceleration noise of motion that other drones observe, m/s^2 per root Hz. Their rotation is not
+/// known, so a still drone seems to move when they turn. A roll of 12 degrees at 0.7 Hz makes a
+/// neighbour 1.5 m away accelerate by up to 6 m/s^2. Over a frame of 33 ms this noise is as large.
 const OTHERS_ACCELERATION: f64 = 3.0;
-/// An observer that contradicts the others for so long is left out, seconds.
+/// Time of contradiction after which an observer is left out, seconds.
 const LEFT_OUT_AFTER_S: f64 = 0.5;
-/// It comes back after so many times as long without contradiction.
+/// Factor by which the time without contradiction must exceed the time of contradiction.
 const FORGIVENESS: f64 = 10.0;
-/// A check stands for no longer than this, seconds: after a pause one check alone leaves nobody
+/// Maximum time that one check counts for, seconds: a single check after a pause leaves no observer
 /// out.
 const LONGEST_CHECK_S: f64 = 0.25;
-/// What calibrations of mounts and lenses leave, m and rad. When sightings are compared, it is
-/// added to their deviations, so that it is not taken for a lie.
+/// Standard deviation of the calibration of mounts and lenses, m and rad. It is added when
+/// sightings are compared, so that it does not count as a contradiction.
 const CALIBRATION: (f64, f64) = (0.02, 0.02);
 
-/// Where a drone is from here.
+/// A drone's pose relative to this drone.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DronePlace {
     /// The drone's name.
     pub name: String,
-    /// Its pose in this drone's frame, and how certain it is.
+    /// Its pose in this drone's frame, with the covariance.
     pub own_from_drone: UncertainPose,
-    /// How it is known.
+    /// The kind of sightings that it is known by.
     pub way: SwarmWay,
-    /// The drone before it on the best chain, where it is chained.
+    /// The drone before it on the best chain, if its way is `Chained`.
     pub through: Option<String>,
-    /// The newest exposure of the pairs that it rests on, seconds.
+    /// Newest exposure of the pair through which it is known, CLOCK_MONOTONIC, seconds.
     pub seen_s: f64,
     /// Pairs of drones in the whole graph.
     pub pairs: usize,
 }
 
-/// One direction: what one drone sees of another.
+/// One direction of a pair: one drone's sightings of another.
 #[derive(Debug, Clone)]
 struct Direction {
     /// Filter of the measurements, where the reports have them.
     replay: Replay,
     /// The last report without a measurement.
-    reported: Option<Reported>,
-}
-
-#[derive(Debug, Clone, Copy)]
-struct Reported {
-    at_s: f64,
-    pose: UncertainPose,
-    course: Vector6<f64>,
+    reported: Option<PeerReport>,
 }
 
 impl Direction {
     fn newest_s(&self) -> Option<f64> {
-        later(self.replay.newest_s(), self.reported.map(|reported| reported.at_s))
+        later(self.replay.newest_s(), self.reported.as_ref().map(exposure_s))
     }
 }
 
@@ -82,47 +75,51 @@ fn later(one: Option<f64>, other: Option<f64>) -> Option<f64> {
     [one, other].into_iter().flatten().reduce(f64::max)
 }
 
-/// How far a pose goes in each second.
+/// Mid-exposure on CLOCK_MONOTONIC, seconds.
+fn exposure_s(report: &PeerReport) -> f64 {
+    report.exposure_monotonic_ns as f64 * 1e-9
+}
+
+/// Velocity of a pose: linear (m/s), then angular (rad/s).
 fn course(report: &PeerReport) -> Vector6<f64> {
     let PeerReport { velocity, rate, .. } = report;
     Vector6::new(velocity.x, velocity.y, velocity.z, rate.x, rate.y, rate.z)
 }
 
-/// What each direction says alone, by observer and target.
+/// The pose from each direction alone, by observer and target.
 type Directed = BTreeMap<(usize, usize), UncertainPose>;
 
-/// Combines reports into where all drones are from one of them.
+/// Combines reports into the poses of all drones relative to one of them.
 #[derive(Debug)]
 pub struct SwarmView {
-    /// How the origin turns.
+    /// Rotation of the origin.
     ego: EgoRotation,
-    /// Motion as the origin sees it, whose own rotation is known.
+    /// Motion model for the origin's sightings, as its rotation is known.
     own_motion: MotionModel,
-    /// Motion as others see it.
+    /// Motion model for the other drones' sightings.
     others_motion: MotionModel,
-    /// Names by number; oneself is 0. A number whose drone is forgotten is given to the next.
+    /// Names by number; this drone is 0. The number of a dropped drone is used again.
     names: Vec<Option<String>>,
-    /// By observer and target.
+    /// The directions, by observer and target.
     directions: BTreeMap<(usize, usize), Direction>,
     /// Both directions in one filter, by the lower and the higher number, in the frame of the lower
     /// one.
     pairs: BTreeMap<(usize, usize), Replay>,
     doubts: BTreeMap<usize, Doubt>,
     judged_s: Option<f64>,
-    /// The rotation of observers whose own is not known: none.
+    /// Stands for the unknown rotation of the other observers; it has no samples.
     unknown: EgoRotation,
 }
 
 #[derive(Debug, Clone, Copy, Default)]
 struct Doubt {
-    /// For how long it has contradicted the others, less what is forgiven, seconds.
+    /// Time of contradiction less the time of agreement over [`FORGIVENESS`], seconds.
     contradicted_s: f64,
     is_left_out: bool,
 }
 
 impl SwarmView {
-    /// A view from the drone `own`: its frame is the origin, and its sightings are believed before
-    /// others'.
+    /// A view from the drone `own`: its frame is the origin, and its sightings are always trusted.
     pub fn from(own: &str) -> Self {
         let own_motion = MotionModel::default();
         let others_motion = MotionModel { acceleration: OTHERS_ACCELERATION, ..own_motion };
@@ -149,18 +146,18 @@ impl SwarmView {
 
     /// The drone whose frame is the origin.
     pub fn own(&self) -> &str {
-        // The first name is never taken away.
+        // The first name is never removed.
         self.names[0].as_deref().unwrap_or_default()
     }
 
-    /// Takes in how the origin has turned, in its own frame. Without it poses rest on wider
-    /// assumptions.
+    /// Adds a rotation of the origin, in its own frame. Without it the poses have wider
+    /// covariances.
     pub fn turned(&mut self, turn: &CameraTurn) {
         self.ego.add(turn);
     }
 
-    /// Takes in a report, of the origin's own or of a peer's sighting. One of a drone beyond the 64
-    /// that are known at once, or with numbers that are none, is left out.
+    /// Adds a report of the origin's or a peer's sighting. A drone beyond the maximum of 64, and
+    /// invalid numbers, are ignored.
     pub fn hear(&mut self, report: &PeerReport) {
         match report.state {
             TrackState::Lost => self.lose(&report.observer, &report.target),
@@ -173,7 +170,6 @@ impl SwarmView {
         if !seen.observer_from_target.is_usable() || seen.observer == seen.target {
             return;
         }
-        let at_s = seen.exposure_monotonic_ns as f64 * 1e-9;
         let deviation_s = seen.exposure_deviation_ns as f64 * 1e-9;
         let numbers = (self.number(&seen.observer), self.number(&seen.target));
         let (Some(observer), Some(target)) = numbers else { return };
@@ -183,15 +179,15 @@ impl SwarmView {
             .entry((observer, target))
             .or_insert_with(|| Direction { replay: Replay::new(motion), reported: None });
         let Some(measured) = seen.measured.filter(UncertainPose::is_usable) else {
-            let pose = seen.observer_from_target;
-            direction.reported = Some(Reported { at_s, pose, course: course(seen) });
+            direction.reported = Some(seen.clone());
             return;
         };
-        // What is not known of the time is not known of the place, along the motion.
+        // An uncertain time makes the position uncertain along the motion.
         let shift = course(seen) * deviation_s;
         let covariance = measured.covariance + shift * shift.transpose();
         let pose = UncertainPose { covariance, ..measured };
         let rotation = |observer| if observer == 0 { &self.ego } else { &self.unknown };
+        let at_s = exposure_s(seen);
         direction.replay.add(at_s, pose, rotation(observer));
         if self.is_left_out(observer) {
             return;
@@ -203,7 +199,7 @@ impl SwarmView {
         replay.add(at_s, pose, rotation(pair.0));
     }
 
-    /// A track of this drone, or of a peer, is lost: what was seen of it counts no more.
+    /// Handles a lost track of this drone or of a peer: its earlier sightings no longer count.
     fn lose(&mut self, observer: &str, target: &str) {
         if let (Some(observer), Some(target)) = (self.known(observer), self.known(target)) {
             self.directions.remove(&(observer, target));
@@ -251,7 +247,7 @@ impl SwarmView {
         places.collect()
     }
 
-    /// The observers whose reports contradict the others', and are left out.
+    /// The observers that are left out, because their reports contradict the others'.
     pub fn left_out(&self) -> Vec<String> {
         let left_out = self.doubts.iter().filter(|(_, doubt)| doubt.is_left_out);
         left_out.filter_map(|(&observer, _)| self.names[observer].clone()).collect()
@@ -261,7 +257,7 @@ impl SwarmView {
         self.names.iter().position(|known| known.as_deref() == Some(name))
     }
 
-    /// The number of a drone, given where there is room.
+    /// The number of a drone; a new one gets a number if there is room.
     fn number(&mut self, name: &str) -> Option<usize> {
         if let Some(number) = self.known(name) {
             return Some(number);
@@ -285,14 +281,14 @@ impl SwarmView {
         self.doubts.get(&observer).is_some_and(|doubt| doubt.is_left_out)
     }
 
-    /// Forgets what nobody has seen for long.
+    /// Drops pairs and names without recent sightings.
     fn forget(&mut self, at_s: f64) {
         let is_old = |newest_s: Option<f64>| newest_s.is_none_or(|s| s < at_s - FORGOTTEN_S);
         self.directions.retain(|_, direction| !is_old(direction.newest_s()));
         self.pairs.retain(|_, replay| !is_old(replay.newest_s()));
         let seen: BTreeSet<usize> = self.directions.keys().flat_map(|&(a, b)| [a, b]).collect();
         for (number, name) in self.names.iter_mut().enumerate().skip(1) {
-            // Whoever is in doubt is remembered, or a pause would be an excuse.
+            // Doubts outlast a pause, so that a silent observer is not trusted again at once.
             if !seen.contains(&number) && !self.doubts.contains_key(&number) {
                 *name = None;
             }
@@ -311,7 +307,7 @@ impl SwarmView {
         }
     }
 
-    /// What is known of a pair, in the frame of the lower number, and when it was seen last.
+    /// The pose of a pair, in the frame of the lower number, and the time of its newest sighting.
     fn edge(
         &self,
         (from, to): (usize, usize),
@@ -327,7 +323,8 @@ impl SwarmView {
         let is_measured = |direction: Option<&Direction>| {
             direction.is_some_and(|direction| direction.replay.newest_s().is_some())
         };
-        // Both measure: one filter has it all, unless it has just begun anew.
+        // If both drones measure, the common filter has all measurements, unless it has just
+        // restarted.
         let filtered = (is_measured(forth) && is_measured(back))
             .then(|| self.pairs.get(&(from, to))?.at(at_s, self.rotation(from)))
             .flatten();
@@ -347,16 +344,16 @@ impl SwarmView {
         Some((PairPose { from, to, from_to }, seen_s))
     }
 
-    /// What each direction says alone at `at_s`.
+    /// The pose from each direction alone at `at_s`.
     fn directed(&self, at_s: f64) -> Directed {
         let said = self.directions.iter().filter_map(|(&key, direction)| {
             if direction.replay.newest_s().is_some() {
                 let prediction = direction.replay.at(at_s, self.rotation(key.0))?;
                 return Some((key, pose_of(&prediction)));
             }
-            let reported = direction.reported?;
-            let step_s = at_s - reported.at_s;
-            let mut moved = reported.pose.moved(&(reported.course * step_s));
+            let reported = direction.reported.as_ref()?;
+            let step_s = at_s - exposure_s(reported);
+            let mut moved = reported.observer_from_target.moved(&(course(reported) * step_s));
             moved.covariance +=
                 Matrix6::identity() * (REPORTED_VELOCITY_DEVIATION * step_s).powi(2);
             Some((key, moved))
@@ -364,12 +361,12 @@ impl SwarmView {
         said.collect()
     }
 
-    /// How an observer turns: this drone's own rotation is known.
+    /// Rotation of an observer, which is known only for this drone.
     fn rotation(&self, observer: usize) -> &EgoRotation {
         if observer == 0 { &self.ego } else { &self.unknown }
     }
 
-    /// Finds out whose sightings contradict the others'.
+    /// Finds the observers whose sightings contradict the others'.
     fn judge(&mut self, at_s: f64, directed: &Directed) {
         let edges: Vec<PairPose> = directed
             .iter()
@@ -404,7 +401,8 @@ impl SwarmView {
         }
         self.doubts
             .retain(|observer, doubt| doubt.contradicted_s > 0.0 || wrong.contains(observer));
-        // What it said is part of these filters, or not yet: they begin anew.
+        // These filters contain, or lack, the sightings of observers that have changed, so they
+        // start anew.
         self.pairs.retain(|(one, other), _| !changed.contains(one) && !changed.contains(other));
     }
 }

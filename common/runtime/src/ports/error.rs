@@ -1,4 +1,4 @@
-//! Why a port cannot be opened or used.
+//! Errors of opening and using ports.
 //!
 //! iceoryx2's errors are kept as they are; texts print them in iceoryx2's words.
 
@@ -14,7 +14,7 @@ use iceoryx2::service::builder::publish_subscribe::{
     PublishSubscribeOpenError, PublishSubscribeOpenOrCreateError,
 };
 
-/// Why the services of a topic cannot be created, or a port cannot be opened or used.
+/// Error of creating the services of a topic, or of opening or using a port.
 #[expect(missing_docs, reason = "the texts name the fields")]
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum PortError {
@@ -30,13 +30,13 @@ pub enum PortError {
     /// iceoryx2 does not accept the topic's name, or the contract's version.
     #[error("cannot open the topic {topic}: not a name that iceoryx2 accepts")]
     OpenName { topic: &'static str },
-    /// The topic is not there, or is of another contract version.
+    /// The topic is missing, or has another contract version.
     #[error(
         "cannot open the topic {topic}: {reason:?}. Cure: start the pipeline with `flockeye up`, and \
          use stages of contract version {CONTRACT_VERSION}"
     )]
     OpenMessages { topic: &'static str, reason: PublishSubscribeOpenError },
-    /// The topic's wake-ups are not there.
+    /// The topic's event service is missing.
     #[error(
         "cannot open the topic {topic}: {reason:?}. Cure: start the pipeline with `flockeye up`, and \
          use stages of contract version {CONTRACT_VERSION}"
@@ -45,13 +45,13 @@ pub enum PortError {
     /// The topic has no place for a publisher.
     #[error("cannot join the topic {topic}: {reason:?}")]
     Publisher { topic: &'static str, reason: PublisherCreateError },
-    /// The topic has no place for what wakes a publisher's readers.
+    /// The topic has no place for the notifier of a publisher's readers.
     #[error("cannot join the topic {topic}: {reason:?}")]
     Notifier { topic: &'static str, reason: NotifierCreateError },
     /// The topic has no place for a subscriber.
     #[error("cannot join the topic {topic}: {reason:?}")]
     Subscriber { topic: &'static str, reason: SubscriberCreateError },
-    /// The topic has no place for what wakes a subscriber's process.
+    /// The topic has no place for the listener that wakes a subscriber's process.
     #[error("cannot join the topic {topic}: {reason:?}")]
     Listener { topic: &'static str, reason: ListenerCreateError },
     /// The message is too long.
@@ -78,7 +78,7 @@ pub enum PortError {
 }
 
 impl PortError {
-    /// Whether the topic is there and has no place for another port.
+    /// Whether the topic exists and has no place for another port.
     pub fn is_crowded(&self) -> bool {
         matches!(
             self,

@@ -19,15 +19,15 @@ use super::services::{DataService, Service, WakeService};
 use crate::health::SharedCounters;
 use crate::memory::Limits;
 
-/// What a publisher does when a subscriber's buffer is full: it waits for `patience`. It never
-/// again waits for a subscriber that took nothing in that time.
+/// Handler of a subscriber's full buffer: the publisher waits for `patience`. It never again waits
+/// for a subscriber that took nothing in that time.
 fn waits_for_readers(
     topic: &'static str,
     patience: Option<Duration>,
 ) -> impl Fn(&BackpressureInfo) -> BackpressureAction + Send + 'static {
     let given_up = Mutex::new(BTreeSet::new());
     move |full| {
-        // A thread that panicked while it had the lock left the set valid.
+        // A thread that panicked while it held the lock left the set valid.
         let mut given_up = lock(&given_up);
         let Some(patience) = patience.filter(|_| !given_up.contains(&full.receiver_port_id)) else {
             return BackpressureAction::DiscardData;
@@ -87,7 +87,7 @@ impl<T: Topic> Publisher<T> {
         Self { counters, ..self }
     }
 
-    /// How many subscribers there are now, also those that are not connected yet.
+    /// Number of subscribers, including those that are not connected yet.
     pub fn readers(&self) -> usize {
         self.service.dynamic_config().number_of_subscribers()
     }
@@ -97,29 +97,41 @@ impl<T: Topic> Publisher<T> {
     /// # Errors
     /// More items than the topic has room for, or no memory because subscribers keep too many
     /// messages.
-    pub fn loan(&self, items: usize) -> Result<Loan<'_, T>, PortError> {
+    pub fn loan(&self, items: usize) -> Result<Loan<T>, PortError> {
         let (topic, room) = (T::NAME, self.max_items);
         if items > room {
             return Err(PortError::TooManyItems { topic, items, room });
         }
         let sample = self.publisher.loan_slice_uninit(items);
         let sample = sample.map_err(|reason| PortError::Loan { topic, reason })?;
-        Ok(Loan { unsent: UnsentMessage { sample }, publisher: self })
+        Ok(Loan { sample })
     }
 
-    /// Goes on with a message that was taken from this publisher's loan.
-    pub fn resume(&self, unsent: UnsentMessage<T>) -> Loan<'_, T> {
-        Loan { unsent, publisher: self }
+    /// Publishes a loan under `header` and wakes the subscribers.
+    ///
+    /// # Errors
+    /// [`PortError`] with iceoryx2's reason.
+    pub fn send_loan(&self, mut loan: Loan<T>, header: T::Header) -> Result<(), PortError> {
+        let topic = T::NAME;
+        *loan.sample.user_header_mut() = header;
+        // SAFETY: as in `Loan::items_mut`: every byte of mapped memory has a value, valid for a
+        // `Pod`.
+        let sample = unsafe { loan.sample.assume_init() };
+        sample.send().map_err(|reason| PortError::Send { topic, reason })?;
+        self.counters.add_published(1);
+        let woken = self.notifier.notify();
+        woken.map_err(|reason| PortError::WakeUp { topic, reason })?;
+        Ok(())
     }
 
     /// Publishes a small message by copying it.
     ///
     /// # Errors
-    /// As [`Publisher::loan`] and [`Loan::send`].
+    /// As [`Publisher::loan`] and [`Publisher::send_loan`].
     pub fn send(&self, header: T::Header, items: &[T::Item]) -> Result<(), PortError> {
         let mut loan = self.loan(items.len())?;
         loan.items_mut().copy_from_slice(items);
-        loan.send(header)
+        self.send_loan(loan, header)
     }
 
     /// Updates the connections to subscribers: those that joined since the last message get the
@@ -134,45 +146,17 @@ impl<T: Topic> Publisher<T> {
     }
 }
 
-/// A message that is being written, in shared memory.
-pub struct Loan<'p, T: Topic> {
-    unsent: UnsentMessage<T>,
-    publisher: &'p Publisher<T>,
-}
-
-/// The memory of a loan without its publisher, for those who cannot keep a reference to that.
-/// Dropped, it is not sent.
-pub struct UnsentMessage<T: Topic> {
+/// A message that is being written, in shared memory. Dropped, it is not sent.
+pub struct Loan<T: Topic> {
     sample: SampleMutUninit<Service, [MaybeUninit<T::Item>], T::Header>,
 }
 
-impl<T: Topic> Loan<'_, T> {
-    /// The items; at first they are what was in the memory before.
+impl<T: Topic> Loan<T> {
+    /// The items; at first they have the earlier content of the memory.
     pub fn items_mut(&mut self) -> &mut [T::Item] {
-        let items = self.unsent.sample.payload_mut();
+        let items = self.sample.payload_mut();
         // SAFETY: the memory is a mapped file, so every byte has a value, and every value is valid
         // for an `Item`, which is `Pod`. The layout of `MaybeUninit<Item>` is that of `Item`.
         unsafe { &mut *(std::ptr::from_mut(items) as *mut [T::Item]) }
-    }
-
-    /// Its memory, to be sent later by [`Publisher::resume`].
-    pub fn detach(self) -> UnsentMessage<T> {
-        self.unsent
-    }
-
-    /// Publishes it under `header` and wakes the subscribers.
-    ///
-    /// # Errors
-    /// [`PortError`] with iceoryx2's reason.
-    pub fn send(mut self, header: T::Header) -> Result<(), PortError> {
-        let topic = T::NAME;
-        *self.unsent.sample.user_header_mut() = header;
-        // SAFETY: as in `items_mut`: every byte of mapped memory has a value, valid for a `Pod`.
-        let sample = unsafe { self.unsent.sample.assume_init() };
-        sample.send().map_err(|reason| PortError::Send { topic, reason })?;
-        self.publisher.counters.add_published(1);
-        let woken = self.publisher.notifier.notify();
-        woken.map_err(|reason| PortError::WakeUp { topic, reason })?;
-        Ok(())
     }
 }

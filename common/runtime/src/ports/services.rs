@@ -1,4 +1,4 @@
-//! The services of topics, by which ports of different processes find each other.
+//! The services of topics, by which ports of different processes connect.
 
 use flockeye_contract::{CONTRACT_VERSION, Topic, TopicVisitor, VERSION_ATTRIBUTE, visit_topics};
 use iceoryx2::prelude::*;
@@ -19,7 +19,7 @@ pub(super) type WakeService = event::PortFactory<Service>;
 pub type TopicServices = Box<dyn std::any::Any>;
 
 /// Creates the services of one topic, every lane of it, with its limits. Where stages fly on
-/// without a launcher, the services are there, and must have these limits.
+/// without a launcher, the services exist already and must have these limits.
 ///
 /// # Errors
 /// [`PortError`] with iceoryx2's reason.
@@ -99,7 +99,8 @@ pub(super) fn service_name<T: Topic>(limits: &Limits, lane: usize) -> Option<Ser
     name.as_str().try_into().ok()
 }
 
-/// What services of this contract version have. `None` for a version that iceoryx2 does not accept.
+/// Attributes of services of this contract version. `None` for a version that iceoryx2 does not
+/// accept.
 pub(super) fn version() -> Option<AttributeVerifier> {
     let (key, value) = (VERSION_ATTRIBUTE.try_into().ok()?, CONTRACT_VERSION.try_into().ok()?);
     AttributeVerifier::new().require(&key, &value).ok()

@@ -25,12 +25,12 @@ pub struct Subscriber<T: Topic> {
     service: DataService<T>,
     counters: SharedCounters,
     listening: Rc<Listening>,
-    /// How many messages of each publisher were refused.
+    /// Number of refused messages of each publisher.
     refused: Vec<(Sender, u64)>,
     refusals: Throttle,
 }
 
-/// Publishers that are told apart; they are few, and old ones have ended.
+/// Maximum number of publishers that are counted separately; they are few, and old ones have ended.
 const MOST_PUBLISHERS: usize = 16;
 
 /// Counts one more refused message of `publisher`.
@@ -46,7 +46,7 @@ fn count_refused(counts: &mut Vec<(Sender, u64)>, publisher: Sender) -> u64 {
     1
 }
 
-/// Refused messages of one publisher for each complaint to the launcher.
+/// Number of refused messages of one publisher for each complaint to the launcher.
 const REFUSED_AT_ONCE: u64 = 10;
 
 /// A message, in shared memory, that has passed the contract's check.
@@ -111,7 +111,7 @@ impl<T: Topic> Subscriber<T> {
         Self { listening, ..self }
     }
 
-    /// The next message, if one is there.
+    /// The next message, if one waits.
     ///
     /// # Errors
     /// [`PortError`] where this process keeps too many messages, or a connection broke.
@@ -119,7 +119,7 @@ impl<T: Topic> Subscriber<T> {
         loop {
             let Some(sample) = self.next_sample()? else { return Ok(None) };
             let header = *sample.user_header();
-            if !self.listening.admits(&header) {
+            if !self.listening.admits(T::senders(&header)) {
                 continue;
             }
             match T::check(&header, sample.payload()) {
@@ -149,7 +149,7 @@ impl<T: Topic> Subscriber<T> {
         sample.map_err(|reason| PortError::Receive { topic: T::NAME, reason })
     }
 
-    /// The next message, if one is there, with the result of the contract's check: for tools that
+    /// The next message, if one waits, with the result of the contract's check: for tools that
     /// judge stages.
     ///
     /// # Errors
@@ -162,8 +162,8 @@ impl<T: Topic> Subscriber<T> {
         }))
     }
 
-    /// Counts a refused message, also one that has passed the contract's check and yet cannot be
-    /// true. The launcher gets a complaint now and then.
+    /// Counts a refused message, also one that passed the contract's check but cannot be true. The
+    /// launcher receives a complaint after each [`REFUSED_AT_ONCE`] messages.
     pub fn refuse(&mut self, sender: Sender, reason: &dyn std::fmt::Display) {
         let count = count_refused(&mut self.refused, sender);
         if count.is_multiple_of(REFUSED_AT_ONCE) {
@@ -172,7 +172,7 @@ impl<T: Topic> Subscriber<T> {
         }
     }
 
-    /// The process that has this publisher; 0 if it has ended.
+    /// Number of this publisher's process; 0 if it has ended.
     fn process_of(&self, publisher: Sender) -> u32 {
         let mut pid = 0;
         self.service.dynamic_config().list_publishers(|details| {

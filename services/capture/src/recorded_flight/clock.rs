@@ -1,20 +1,20 @@
-//! The samples of a recorded flight on the clock on which it is played.
+//! Conversion of a recorded flight's samples to the clock of its playback.
 
 use flockeye_contract::{FrameStamp, ImuSample};
 
 use crate::SourcePicture;
 use crate::picture::{Epoch, TapeSample};
 
-/// The epochs of a recorded flight's sensor, counted anew.
+/// Epochs of a recorded flight's sensor, renumbered.
 #[derive(Debug, Default)]
 pub(crate) struct FlightClock {
     epoch: u32,
-    /// The recording's epoch of the sample before.
+    /// Recorded epoch of the last sample.
     recorded: Option<Epoch>,
 }
 
 impl FlightClock {
-    /// The samples of a picture on the clock of its frame, each row of them of one epoch.
+    /// The samples of a picture on the clock of its frame, grouped by epoch.
     pub(crate) fn samples_of(
         &mut self,
         picture: &SourcePicture,
@@ -31,7 +31,7 @@ impl FlightClock {
         played_ns: i64,
     ) -> Vec<(u32, Vec<ImuSample>)> {
         let mut rows: Vec<(u32, Vec<ImuSample>)> = Vec::new();
-        for TapeSample { epoch, sample } in samples {
+        for (epoch, sample) in samples {
             let begins = self.recorded.replace(*epoch).is_some_and(|before| before != *epoch);
             self.epoch += u32::from(begins);
             let at_ns = sample.at_ns.saturating_sub(recorded_ns).saturating_add(played_ns);
@@ -55,10 +55,7 @@ mod tests {
 
     #[test]
     fn samples_of_a_flight_keep_their_distance_to_the_exposure_and_their_epochs() {
-        let of = |epoch, at_ns| TapeSample {
-            epoch,
-            sample: ImuSample { at_ns, ..ImuSample::default() },
-        };
+        let of = |epoch: Epoch, at_ns| (epoch, ImuSample { at_ns, ..ImuSample::default() });
         let mut clock = FlightClock::default();
         let mut sent = |samples: &[TapeSample]| -> Vec<(u32, Vec<i64>)> {
             let rows = clock.on_clock(samples, 1000, 5000);

@@ -1,7 +1,7 @@
-//! A recording of a flight is played: its coded pictures are fed into a decoder, and what comes out
-//! gets the stamp that it had.
+//! Playback of a recorded flight: its coded pictures are decoded, and each gets its recorded stamp.
 //!
-//! A thread reads the recording and feeds. Each epoch of the recording has a decoder of its own.
+//! A thread reads the recording and feeds the decoder. Each epoch of the recording has its own
+//! decoder.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::path::{Path, PathBuf};
@@ -16,7 +16,7 @@ use gstreamer as gst;
 use gstreamer::prelude::*;
 use gstreamer_app as gst_app;
 
-use super::tape::{FlightTape, TapeItem};
+use super::tape::{Damage, FlightTape};
 use crate::arrivals::on_each_buffer;
 use crate::event::EndReason;
 use crate::input::{FEED, Input};
@@ -25,26 +25,26 @@ use crate::picture::{FlightFrame, TapeSample};
 use crate::playback::{Playback, PlaybackEvent};
 use crate::{CaptureError, Event, decoder};
 
-/// A recording that is being played.
+/// A recorded flight during playback.
 pub(crate) struct Flight {
     path: PathBuf,
     params: SourceParameters,
     playing: Option<EpochPlayback>,
-    /// The next epoch, which begins once all damage is reported.
+    /// The next epoch, which begins after all damage is reported.
     next_epoch: Option<FlightTape>,
-    /// What is wrong with the end, where no epoch is played.
+    /// Reason of an early end, if so.
     fault: Option<String>,
-    /// Pictures that could not be used and are to be reported.
-    damaged: VecDeque<(String, String)>,
+    /// Unusable pictures that are not reported yet.
+    damaged: VecDeque<Damage>,
     handed_out: u64,
     skipped: u64,
-    /// Pictures of this epoch, and those that were replaced by a newer one.
+    /// Number of pictures of this epoch, with those replaced by a newer one.
     count: u64,
-    /// Frames in a row without a sample.
+    /// Number of consecutive frames without a sample.
     blind: u32,
 }
 
-/// Frames in a row without a sample of the inertial sensor that are reported.
+/// Number of consecutive frames without an inertial sample that causes a warning.
 const MOST_BLIND: u32 = 30;
 
 impl std::fmt::Debug for Flight {
@@ -54,35 +54,35 @@ impl std::fmt::Debug for Flight {
 }
 
 struct EpochPlayback {
-    // Before the thread that feeds it: it lets go of that.
+    // First field: its drop unblocks the thread that feeds it.
     playback: Playback,
     feeder: JoinHandle<FlightTape>,
     table: Arc<Mutex<Table>>,
 }
 
-/// What is known of the pictures that were fed and have not come out.
+/// Data of the pictures that are in the decoder.
 #[derive(Debug, Default)]
 struct Table {
-    /// The pictures, by their time stamps in the decoder.
+    /// Pictures by their time stamps in the decoder.
     pictures: BTreeMap<gst::ClockTime, PendingPicture>,
     samples: VecDeque<TapeSample>,
-    damaged: VecDeque<(String, String)>,
+    damaged: VecDeque<Damage>,
 }
 
 #[derive(Debug)]
 struct PendingPicture {
-    /// `None`: it was decoded in flight, and not published.
+    /// `None`: the picture was decoded in flight, but not published.
     header: Option<FrameHeader>,
-    /// What its time stamp lacks to its exposure.
+    /// Difference from its time stamp to its exposure.
     later_ns: i64,
-    /// Time beyond its exposure up to which samples belong to it.
+    /// Time after its exposure up to which samples belong to it.
     reach_ns: i64,
     was_decoded: bool,
 }
 
 impl Table {
-    /// A picture has come out. Returns what is known of it, and how many decoded ones before it did
-    /// not come.
+    /// Takes a picture that has come out. Returns its data, and the number of decoded pictures
+    /// before it that were replaced.
     fn take(&mut self, pts: gst::ClockTime) -> Option<(PendingPicture, u64)> {
         let later = self.pictures.split_off(&pts);
         let earlier = std::mem::replace(&mut self.pictures, later);
@@ -97,7 +97,7 @@ impl Table {
         Some((self.pictures.remove(&pts)?, replaced))
     }
 
-    /// Nothing more comes out.
+    /// Notes the end: all other undecoded pictures are damaged.
     fn end(&mut self) {
         for fed in std::mem::take(&mut self.pictures).into_values() {
             if let (Some(header), false) = (&fed.header, fed.was_decoded) {
@@ -106,14 +106,14 @@ impl Table {
         }
     }
 
-    /// The samples up to then that were not taken yet.
+    /// Takes the samples up to a time.
     fn samples_until(&mut self, until_ns: i64) -> Vec<TapeSample> {
-        let count = self.samples.iter().take_while(|next| next.sample.at_ns <= until_ns).count();
+        let count = self.samples.iter().take_while(|(_, next)| next.at_ns <= until_ns).count();
         self.samples.drain(..count).collect()
     }
 }
 
-fn undecoded(header: &FrameHeader) -> (String, String) {
+fn undecoded(header: &FrameHeader) -> Damage {
     (format!("frame {}", header.stamp.sequence), "its picture cannot be decoded".to_owned())
 }
 
@@ -165,7 +165,7 @@ impl Flight {
         Ok(())
     }
 
-    /// Waits for at most `timeout` for something to happen.
+    /// Waits for an event, for at most `timeout`.
     pub(crate) fn next(&mut self, timeout: Duration) -> Result<Event, CaptureError> {
         if let Some((what, why)) = self.damaged.pop_front() {
             self.skipped += 1;
@@ -229,7 +229,7 @@ impl Flight {
     fn end_epoch(&mut self, fault: Option<String>) {
         self.fault.clone_from(&fault);
         let Some(EpochPlayback { playback, feeder, table }) = self.playing.take() else { return };
-        // It lets go of the thread that feeds it.
+        // The drop unblocks the thread that feeds it.
         drop(playback);
         let tape = feeder.join();
         let mut known = lock(&table);
@@ -238,12 +238,12 @@ impl Flight {
         let (None, Ok(mut tape)) = (fault, tape) else { return };
         loop {
             match tape.next() {
-                Some(TapeItem::Coded(coded)) => {
+                Some(Ok(coded)) => {
                     tape.put_back = Some(coded);
                     self.next_epoch = Some(tape);
                     return;
                 }
-                Some(TapeItem::Damaged { what, why }) => self.damaged.push_back((what, why)),
+                Some(Err(damage)) => self.damaged.push_back(damage),
                 None => {
                     self.fault = tape.fault;
                     return;
@@ -252,7 +252,7 @@ impl Flight {
         }
     }
 
-    /// Whether its pictures come out of a decoder of video.
+    /// Whether the pictures come from a video decoder.
     pub(crate) fn decodes_video(&self) -> bool {
         self.playing
             .as_ref()
@@ -267,12 +267,11 @@ impl Flight {
     }
 }
 
-/// Feeds the pictures of one epoch. Returns the recording, which has the next epoch, or is at its
-/// end.
+/// Feeds the pictures of one epoch. Returns the recording, at the next epoch or at its end.
 fn feed_epoch(mut tape: FlightTape, feed: &gst_app::AppSrc, table: &Mutex<Table>) -> FlightTape {
     let mut epoch = None;
     let mut first_ns = 0;
-    // The exposure less the time stamp of the first frame that was published.
+    // Exposure minus time stamp of the first published frame.
     let mut apart_ns = None;
     let mut newest_pts = None;
     loop {
@@ -280,15 +279,13 @@ fn feed_epoch(mut tape: FlightTape, feed: &gst_app::AppSrc, table: &Mutex<Table>
         let mut known = lock(table);
         known.samples.extend(tape.take_samples());
         let coded = match next {
-            Some(TapeItem::Coded(coded)) if *epoch.get_or_insert(coded.epoch) == coded.epoch => {
-                coded
-            }
-            Some(TapeItem::Coded(coded)) => {
+            Some(Ok(coded)) if *epoch.get_or_insert(coded.epoch) == coded.epoch => coded,
+            Some(Ok(coded)) => {
                 tape.put_back = Some(coded);
                 break;
             }
-            Some(TapeItem::Damaged { what, why }) => {
-                known.damaged.push_back((what, why));
+            Some(Err(damage)) => {
+                known.damaged.push_back(damage);
                 continue;
             }
             None => break,
@@ -296,7 +293,7 @@ fn feed_epoch(mut tape: FlightTape, feed: &gst_app::AppSrc, table: &Mutex<Table>
         if newest_pts.is_none() {
             first_ns = coded.time_ns;
         }
-        // Pictures that are shown before the first one cannot be decoded.
+        // Skip pictures with a presentation time before the first: they cannot be decoded.
         let pts = coded.time_ns.checked_sub(first_ns).and_then(|pts| u64::try_from(pts).ok());
         let Some(pts) = pts.map(gst::ClockTime::from_nseconds) else { continue };
         let is_jpeg = coded.codec == VideoCodec::None;
@@ -321,11 +318,11 @@ fn feed_epoch(mut tape: FlightTape, feed: &gst_app::AppSrc, table: &Mutex<Table>
             buffer.set_pts(pts);
         }
         if feed.push_buffer(buffer).is_err() {
-            // Whoever decodes has ended.
+            // The decoder has ended.
             return tape;
         }
     }
-    // A thread that has ended needs no end.
+    // An error means that the decoder has ended, which is harmless.
     feed.end_of_stream().ok();
     tape
 }

@@ -1,9 +1,9 @@
-//! Checks of a JPEG before it is decoded: decoders silently fill what is missing with gray.
+//! Checks of a JPEG before decoding: decoders fill missing data with gray without an error.
 
-/// Bytes that some cameras write behind the end, at most.
+/// Maximum number of bytes after the end marker, which some cameras write.
 const TAIL: usize = 65_536;
 
-/// The size of a picture that is whole: columns and rows. The error names what is wrong with it
+/// The size of a complete picture: columns and rows. The error is the reason of a failed check
 /// (ITU-T T.81, annex B).
 pub(crate) fn size(bytes: &[u8]) -> Result<(u32, u32), String> {
     if !bytes.starts_with(&[0xFF, 0xD8]) {
@@ -20,7 +20,7 @@ pub(crate) fn size(bytes: &[u8]) -> Result<(u32, u32), String> {
         let length = usize::from(u16::from_be_bytes([high, low]));
         let segment = rest.get(4..2 + length).ok_or_else(damaged)?;
         match marker {
-            // Any frame header but those that only share its number.
+            // Frame headers; DHT, JPG and DAC markers are in the same range.
             0xC0..=0xCF if !matches!(marker, 0xC4 | 0xC8 | 0xCC) => {
                 let [_, y1, y0, x1, x0, ..] = *segment else { return Err(damaged()) };
                 let side = |bytes| u32::from(u16::from_be_bytes(bytes));

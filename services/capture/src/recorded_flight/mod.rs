@@ -2,10 +2,10 @@
 //!
 //! | module | what it does |
 //! | --- | --- |
-//! | `tape` | reads a recording: coded pictures with their stamps, and samples of the inertial sensor |
+//! | `tape` | reads coded pictures with their stamps, and inertial samples |
 //! | `jpeg` | checks a JPEG before it is decoded |
-//! | `flight` | decodes the pictures, and gives each its stamp and samples |
-//! | `clock` | puts the samples on the clock on which the flight is played |
+//! | `flight` | decodes the pictures, and adds their stamps and samples |
+//! | `clock` | converts the samples to the clock of the playback |
 
 mod clock;
 mod flight;

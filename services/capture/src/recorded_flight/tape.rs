@@ -1,9 +1,8 @@
-//! A recording of a flight, read as a source: its pictures with the stamps that they had, and the
-//! samples of its inertial sensor.
+//! Reader of a recorded flight: pictures with their recorded stamps, and inertial samples.
 //!
-//! Messages stand about in the order in which they were sent. What belongs to a picture may stand
-//! behind it: samples that cover its exposure, and the stamp of a frame that had yet to be decoded.
-//! The tape reads on until that is there.
+//! Messages are roughly in the order of sending. Data of a picture may follow it: samples of its
+//! exposure, and the stamp of a frame that was decoded later. The tape reads ahead until this data
+//! is found.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::path::{Path, PathBuf};
@@ -27,17 +26,16 @@ use super::jpeg;
 use crate::CaptureError;
 use crate::picture::{Epoch, TapeSample};
 
-/// Limit for how far behind a picture its stamp and samples stand, by the time at which they were
-/// recorded.
+/// Maximum time from a picture to its stamp and samples, by recording time, nanoseconds.
 const BEHIND_NS: u64 = 1_000_000_000;
-/// Limit for the bytes of pictures that wait for what belongs to them.
+/// Limit for the size of pictures that wait for their data, bytes.
 const MOST_WAITING_BYTES: usize = 256_000_000;
-/// Frames whose packets may still come.
+/// Maximum number of frame headers without a packet.
 const MOST_HEADERS: usize = 1024;
-/// Reach of the samples beyond an exposure whose length is not known.
+/// Reach of the samples beyond an exposure of unknown length, nanoseconds.
 const BEYOND_NS: i64 = 10_000_000;
 
-/// A recording that is being read.
+/// A recording during reading.
 pub(crate) struct FlightTape {
     path: PathBuf,
     reader: RecordingReader,
@@ -46,63 +44,57 @@ pub(crate) struct FlightTape {
     imus: DefinedTopic,
     wants_samples: bool,
     latency_ns: i64,
-    /// The frame whose picture comes next, and the packet whose bytes do.
+    /// Headers of the frame and of the packet whose pictures come next.
     header: Option<FrameHeader>,
     packet: Option<PacketHeader>,
-    /// Frames by their place in their stream, for packets.
+    /// Frame headers by epoch and stream time, for packets.
     headers: BTreeMap<(Epoch, i64), FrameHeader>,
     newest_frame: Option<(Epoch, i64)>,
-    /// The packet that continues those before; `None`: a key frame is waited for.
+    /// Key of the next packet in sequence; `None`: decoding needs a key frame.
     next_packet: Option<(Epoch, u64)>,
-    /// What waits for what belongs to it, and when it was recorded: UTC, nanoseconds.
+    /// Items that wait for their data, with the recording time: UTC, nanoseconds.
     waiting: VecDeque<(u64, TapeItem)>,
     waiting_bytes: usize,
     samples: Vec<TapeSample>,
     newest_sample: Option<TapeSample>,
     newest_utc_ns: u64,
-    /// The clock of exposures less that of the stream, of the first frame.
+    /// Exposure minus stream time of the first frame, nanoseconds.
     zero_ns: Option<i64>,
-    /// A picture that comes next again.
+    /// A picture that [`Self::next`] returns again.
     pub(crate) put_back: Option<CodedPicture>,
-    /// How the pictures are coded; [`VideoCodec::None`]: each as a JPEG.
+    /// Codec of the pictures; [`VideoCodec::None`]: JPEG.
     codec: Option<VideoCodec>,
     has_views: bool,
     has_frames: bool,
     has_ended: bool,
-    /// Why it ended before its end, once it has.
+    /// Reason of an early end, if so.
     pub(crate) fault: Option<String>,
 }
 
 #[derive(Debug, PartialEq)]
 pub(crate) struct CodedPicture {
     pub(crate) epoch: Epoch,
-    /// `None`: a JPEG.
+    /// Codec; [`VideoCodec::None`]: JPEG.
     pub(crate) codec: VideoCodec,
-    /// Its place among the pictures of its epoch, nanoseconds: its exposure, or that of a packet in
-    /// its stream.
+    /// Time in its epoch, nanoseconds: exposure of a JPEG, or stream time of a packet.
     pub(crate) time_ns: i64,
-    /// The frame's header. `None`: it was decoded and not published.
+    /// Header of the frame. `None`: the frame was not published.
     pub(crate) header: Option<FrameHeader>,
     pub(crate) bytes: Vec<u8>,
 }
 
-/// What comes next of a recording.
-#[derive(Debug, PartialEq)]
-pub(crate) enum TapeItem {
-    Coded(CodedPicture),
-    /// Something that cannot be used; the rest goes on.
-    Damaged {
-        what: String,
-        why: String,
-    },
-}
+/// A part of a recording that cannot be used: its name, and the reason. The rest is played.
+pub(crate) type Damage = (String, String);
+
+/// The next part of a recording.
+type TapeItem = Result<CodedPicture, Damage>;
 
 /// A topic of the contract, and the definition of its messages.
 type DefinedTopic = Arc<(TopicLayout, String)>;
 
 impl FlightTape {
-    /// Opens a recording. `samples`: those of the inertial sensor are wanted, which reach as far
-    /// beyond an exposure as `latency`.
+    /// Opens a recording. `samples`: whether inertial samples are read; they reach `latency` beyond
+    /// an exposure.
     pub(crate) fn open(
         path: &Path,
         samples: bool,
@@ -151,26 +143,26 @@ impl FlightTape {
             has_ended: false,
             fault: None,
         };
-        // What keeps it from being played is found now.
+        // Read up to the first picture, so that errors are found here.
         let mut damaged = VecDeque::new();
         loop {
             match tape.next() {
-                Some(TapeItem::Coded(coded)) => {
+                Some(Ok(coded)) => {
                     tape.put_back = Some(coded);
                     break;
                 }
-                Some(TapeItem::Damaged { what, why }) => damaged.push_back((what, why)),
+                Some(Err(damage)) => damaged.push_back(damage),
                 None => return Err(tape.without_pictures(damaged.pop_front())),
             }
         }
-        for (what, why) in damaged.into_iter().rev() {
-            tape.waiting.push_front((tape.newest_utc_ns, TapeItem::Damaged { what, why }));
+        for damage in damaged.into_iter().rev() {
+            tape.waiting.push_front((tape.newest_utc_ns, Err(damage)));
         }
         Ok(tape)
     }
 
-    /// Why there is nothing to play.
-    fn without_pictures(&mut self, damaged: Option<(String, String)>) -> CaptureError {
+    /// Error of a recording without pictures.
+    fn without_pictures(&mut self, damaged: Option<Damage>) -> CaptureError {
         let reason = match (self.fault.take(), damaged) {
             (Some(fault), _) => return CaptureError::Recording(fault),
             (None, Some((what, why))) => format!("{what}: {why}"),
@@ -183,65 +175,62 @@ impl FlightTape {
         CaptureError::NoPictures { path: self.path.clone(), reason }
     }
 
-    /// How the pictures are coded; [`VideoCodec::None`]: each as a JPEG.
+    /// Codec of the pictures; [`VideoCodec::None`]: JPEG.
     pub(crate) fn codec(&self) -> VideoCodec {
         self.codec.unwrap_or(VideoCodec::None)
     }
 
-    /// The samples that were read since the last time. Those of a picture are there when it is.
+    /// Takes the samples read since the last call. The samples of a returned picture are included.
     pub(crate) fn take_samples(&mut self) -> Vec<TapeSample> {
         std::mem::take(&mut self.samples)
     }
 
-    /// How far samples reach beyond the middle of an exposure: what has been measured when the
-    /// picture is there.
+    /// Reach of samples beyond the middle of an exposure, nanoseconds: up to the arrival of the
+    /// picture.
     pub(crate) fn reach_ns(&self, header: &FrameHeader) -> i64 {
         let half_ns = i64::try_from(header.exposure_time_ns / 2).unwrap_or(i64::MAX);
         self.latency_ns.saturating_add(if half_ns > 0 { half_ns } else { BEYOND_NS })
     }
 
-    /// The next picture, in the order in which pictures are decoded; `None` at the end.
+    /// The next picture in decoding order; `None` at the end.
     pub(crate) fn next(&mut self) -> Option<TapeItem> {
         if let Some(coded) = self.put_back.take() {
-            return Some(TapeItem::Coded(coded));
+            return Some(Ok(coded));
         }
         loop {
             if self.has_ended || self.waiting.front().is_some_and(|front| self.is_complete(front)) {
                 let (_, item) = self.waiting.pop_front()?;
-                return Some(match item {
-                    TapeItem::Coded(coded) => TapeItem::Coded(self.complete(coded)),
-                    damaged => damaged,
-                });
+                return Some(item.map(|coded| self.complete(coded)));
             }
             self.read();
         }
     }
 
-    /// Whether all is there that belongs to it.
+    /// Whether all data of an item is found.
     fn is_complete(&self, (utc_ns, item): &(u64, TapeItem)) -> bool {
         let is_old = self.newest_utc_ns >= utc_ns.saturating_add(BEHIND_NS);
         let has_samples = |header: &FrameHeader| {
             let until_ns = header.stamp.exposure_ns.saturating_add(self.reach_ns(header));
-            let newest_ns = self.newest_sample.map(|newest| newest.sample.at_ns);
+            let newest_ns = self.newest_sample.map(|(_, newest)| newest.at_ns);
             !self.wants_samples || is_old || newest_ns.is_some_and(|newest| newest >= until_ns)
         };
         if self.waiting_bytes > MOST_WAITING_BYTES {
             return true;
         }
-        let TapeItem::Coded(coded) = item else { return true };
+        let Ok(coded) = item else { return true };
         let place = (coded.epoch, coded.time_ns);
         match coded.header.as_ref().or_else(|| self.headers.get(&place)) {
             Some(header) => has_samples(header),
-            // Frames are published in the order in which they are shown.
+            // Frames are published in presentation order.
             None => self.newest_frame.is_some_and(|newest| newest > place),
         }
     }
 
-    /// A picture that has waited for long enough, with its header on the recording's clock.
+    /// Adds the header to a picture, with stream time on the recording's clock.
     fn complete(&mut self, coded: CodedPicture) -> CodedPicture {
         let place = (coded.epoch, coded.time_ns);
         self.waiting_bytes = self.waiting_bytes.saturating_sub(coded.bytes.len());
-        // In a recorded lossless flight both clocks are one.
+        // In a recorded lossless flight both clocks are equal.
         let header = coded.header.or_else(|| self.headers.remove(&place)).map(|mut header| {
             let stamp = &mut header.stamp;
             let apart_ns = stamp.exposure_ns.saturating_sub(stamp.stream_ns);
@@ -258,7 +247,7 @@ impl FlightTape {
                 self.newest_utc_ns = self.newest_utc_ns.max(message.utc_ns);
                 if let Err(why) = self.on(&message) {
                     let what = format!("{}, message {}", message.channel.topic, message.sequence);
-                    self.waiting.push_back((self.newest_utc_ns, TapeItem::Damaged { what, why }));
+                    self.waiting.push_back((self.newest_utc_ns, Err((what, why))));
                 }
             }
             Ok(None) if self.reader.ending() == Some(Ending::Whole) => self.end_part(),
@@ -277,7 +266,7 @@ impl FlightTape {
         self.fault = fault;
     }
 
-    /// Goes on with the next file of a recording that was split.
+    /// Continues with the next file of a split recording.
     fn end_part(&mut self) {
         match self.reader.next_part() {
             Ok(Some(reader)) => self.reader = reader,
@@ -288,10 +277,10 @@ impl FlightTape {
 
     fn wait_for(&mut self, coded: CodedPicture) {
         self.waiting_bytes += coded.bytes.len();
-        self.waiting.push_back((self.newest_utc_ns, TapeItem::Coded(coded)));
+        self.waiting.push_back((self.newest_utc_ns, Ok(coded)));
     }
 
-    /// Takes a message. The error is the reason why it cannot be used.
+    /// Takes a message. The error is the reason of the failure.
     fn on(&mut self, message: &RecordedMessage) -> Result<(), String> {
         match message.channel.topic.as_str() {
             FRAME_IMAGES => self.on_image(message),
@@ -331,7 +320,8 @@ impl FlightTape {
         }
     }
 
-    /// The message of a topic; `None`, and the recording ends, if it is of another version.
+    /// Decodes the message of a topic. Returns `None` and ends the recording if its contract
+    /// version differs.
     fn understand(
         &mut self,
         (layout, definition): &(TopicLayout, String),
@@ -390,7 +380,7 @@ impl FlightTape {
                 }
                 (Ok(()), format, _) => Err(format!("its format is {format}, its header's another")),
             });
-        // What rests on a picture that is missing would be decoded to nonsense.
+        // After a missing picture, dependent pictures would be decoded wrongly.
         let epoch = (header.source_generation, header.epoch);
         let place = (epoch, header.sequence);
         let continues = header.is_key == 1 || self.next_packet == Some(place);
@@ -407,7 +397,7 @@ impl FlightTape {
         if !continues {
             self.next_packet = None;
             return match self.codec {
-                // A recording that was begun in flight.
+                // The recording was started in flight, between key frames.
                 None => Ok(()),
                 Some(_) => Err("packets before it are missing, so it cannot be decoded".to_owned()),
             };
@@ -428,13 +418,12 @@ impl FlightTape {
         Imus::check(&header, &samples).map_err(|error| error.to_string())?;
         let epoch = (header.generation, header.epoch);
         for sample in samples {
-            let is_later = self
-                .newest_sample
-                .is_none_or(|newest| newest.epoch != epoch || newest.sample.at_ns < sample.at_ns);
-            if is_later {
-                let sample = TapeSample { epoch, sample };
-                self.newest_sample = Some(sample);
-                self.samples.push(sample);
+            let is_later = |(newest_epoch, newest): (Epoch, ImuSample)| {
+                newest_epoch != epoch || newest.at_ns < sample.at_ns
+            };
+            if self.newest_sample.is_none_or(is_later) {
+                self.newest_sample = Some((epoch, sample));
+                self.samples.push((epoch, sample));
             }
         }
         Ok(())

@@ -1,4 +1,4 @@
-//! The measurement passes that the core runs, with the inputs that its frames hold for them.
+//! The measurement passes of the core, with their inputs from its frames.
 
 use flockeye_contract::FrameOrder;
 
@@ -34,14 +34,14 @@ impl<P: AsRef<[u8]>> Core<P> {
         if self.schedule.is_flight() {
             found.into_iter().for_each(|found| self.publish(&stamp, vec![found], outputs));
         } else {
-            // Their order must not depend on who is faster.
+            // Sorted, because the order must not depend on the speed of threads.
             frame.found.extend(found);
         }
         self.frames.answer_seen(order);
     }
 
     /// The region pass or the last one over records of a frame: over those of the views `searched`,
-    /// or over all that count. Publishes what it finds.
+    /// or over all that count. Publishes the results.
     pub(super) fn measure(
         &mut self,
         order: FrameOrder,
@@ -75,9 +75,9 @@ impl<P: AsRef<[u8]>> Core<P> {
         self.publish_updates(order, updates, searched.as_deref(), outputs);
     }
 
-    /// Looks at some places of a complete frame for one of the targets that nothing else has found,
-    /// and says whether there were both. All together would take longer than a stage may go without
-    /// a sign of life.
+    /// Searches some places of a complete frame for one of the targets that were not measured.
+    /// Returns whether there were both. All places together would take longer than the watchdog's
+    /// timeout.
     pub(super) fn search_a_place(&mut self, order: FrameOrder, outputs: &mut Outputs) -> bool {
         let Some(frame) = self.frames.get_mut(order) else { return false };
         let untracked = self.tracker.untracked(&frame.parts);
@@ -91,7 +91,7 @@ impl<P: AsRef<[u8]>> Core<P> {
         true
     }
 
-    /// Publishes what the views `searched` led to, or all of the frame.
+    /// Publishes the results of the views `searched`, or of the whole frame.
     pub(super) fn publish_updates(
         &mut self,
         order: FrameOrder,
@@ -114,7 +114,7 @@ impl<P: AsRef<[u8]>> Core<P> {
     }
 }
 
-/// The record of a view, with the view where it has come.
+/// The record of a view, with the view if it has arrived.
 fn answered<P>(frame: &OpenFrame<P>, view_index: u32) -> Option<AnsweredView<'_>> {
     Some(AnsweredView {
         record: frame.records.get(&view_index)?,

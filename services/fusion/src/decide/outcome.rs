@@ -1,34 +1,33 @@
-//! What becomes of a measured pose: publication, a correction of the track, or nothing.
+//! Outcome of a measured pose: publication, a correction of the track, or nothing.
 
 use crate::measurement::PoseMeasurement;
 
-/// What a pass led to.
+/// Outcome of a pass.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Outcome {
-    /// The pass gave no pose.
+    /// The pass found no pose.
     Nothing,
-    /// The pass gave no pose yet: the background pass was asked for.
+    /// The pass found no pose yet: the background pass was requested.
     InBackground,
-    /// A pose that is not precise. It waits for the frame's end, in case that something better is
-    /// found.
+    /// A pose that is not precise. It waits for the frame's end, in case a better one is found.
     Imprecise(PoseMeasurement),
     /// A measurement, which was published.
     Published(PoseMeasurement),
     /// A pose that is not precise: it corrected the track.
     Corrected(PoseMeasurement),
-    /// A pose that is not where the track can be.
+    /// A pose that contradicts the track.
     OutsideGate(PoseMeasurement),
-    /// A pose of a frame that is too long ago for the track, or whose numbers are unusable.
+    /// A pose of a frame too long ago for the track, or with unusable numbers.
     Refused(PoseMeasurement),
-    /// A pose that came when its frame had ended: it corrected the track, or began one.
+    /// A pose that arrived after the end of its frame: it corrected the track, or began one.
     Late(PoseMeasurement),
-    /// The answer came when another pass had measured the target.
+    /// The answer arrived after another pass had measured the target.
     Cancelled,
 }
 
 impl Outcome {
-    /// What became of a measurement of an open frame. `is_measured` is what the filter made of it:
-    /// whether it counts as the frame's measurement; `None` where the filter refused it.
+    /// Outcome of a measurement in an open frame. `is_measured` is the result of the filter:
+    /// whether it counts as the frame's measurement; `None` if the filter refused it.
     pub(crate) fn of(measurement: PoseMeasurement, is_measured: Option<bool>) -> Self {
         match is_measured {
             None if !measurement.is_precise => Self::OutsideGate(measurement),
@@ -39,7 +38,7 @@ impl Outcome {
         }
     }
 
-    /// What becomes of a pass over an open frame that gave no precise pose.
+    /// Outcome of a pass over an open frame without a precise pose.
     pub(crate) fn unpublished(imprecise: Option<PoseMeasurement>, is_in_background: bool) -> Self {
         match imprecise {
             _ if is_in_background => Self::InBackground,
@@ -48,7 +47,7 @@ impl Outcome {
         }
     }
 
-    /// The pose that it is about.
+    /// The pose of the outcome.
     pub fn measurement(&self) -> Option<&PoseMeasurement> {
         match self {
             Self::Nothing | Self::InBackground | Self::Cancelled => None,
@@ -62,8 +61,8 @@ impl Outcome {
     }
 }
 
-/// Whether a measurement may go into its target's track. An imprecise one must lie where the track
-/// expects it.
+/// Whether a measurement may update its target's track. An imprecise one must fit the track's
+/// prediction.
 pub(crate) fn may_enter_track(
     measurement: &PoseMeasurement,
     is_inside_gate: impl FnOnce() -> bool,

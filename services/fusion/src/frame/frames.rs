@@ -1,10 +1,10 @@
 //! All open frames, in the order of their exposure.
 //!
-//! Messages about a frame come in whatever order. It is complete when rectification has ended it
-//! and every view it issued is answered. A stage that died would leave it open for ever: after a
-//! deadline it is taken as it is. So is, as soon as a newer one is whole, a frame that follows no
-//! plan of this process: it was under way when the process began, which never receives what came
-//! before.
+//! Messages about a frame arrive in any order. It is complete when rectification has ended it and
+//! every issued view is answered. A stage that died would leave it open for ever, so it is
+//! completed after a deadline. A frame without a plan of this process was under way when the
+//! process began, so earlier messages are missing. It is completed as soon as a newer frame is
+//! whole.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::rc::Rc;
@@ -19,30 +19,29 @@ use super::{OpenFrame, Phase};
 use crate::record::Record;
 use crate::work::Work;
 
-/// Frames that may be open at once; beyond it the oldest is taken as it is.
+/// Most open frames; beyond it the oldest is completed.
 const MAX_OPEN_FRAMES: usize = 8;
-/// Views of places that are kept at most, of all frames.
+/// Most views of places that are kept, of all frames.
 const MAX_PLACES: usize = 128;
-/// Plans that are remembered, for frames that still follow them.
+/// Number of plans that are kept, for frames that still follow them.
 const REMEMBERED_PLANS: usize = 16;
-/// Rotations that wait for their frames, at most; a lossless source has one frame under way.
+/// Most rotations that wait for their frames; a lossless source has one frame under way.
 const MAX_ROTATIONS: usize = 64;
 
-/// What frames keep, and how long.
+/// Limits and options of the open frames.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Keeping {
-    /// How long a frame stays open at most, nanoseconds.
+    /// Longest time for which a frame stays open, nanoseconds.
     pub(crate) deadline_ns: i64,
-    /// Views without a record that are held at most, of all frames.
+    /// Most held views without a record, of all frames.
     pub(crate) max_unanswered: usize,
-    /// Best views of targets that are held at most, of all frames.
+    /// Most held best views of targets, of all frames.
     pub(crate) max_best: usize,
     /// Whether the pixels of views are used.
     pub(crate) keeps_pixels: bool,
     /// Whether regions of interest are measured before they are searched.
     pub(crate) keeps_regions: bool,
-    /// Whether places that look like a body are searched for targets of which nothing else is
-    /// known.
+    /// Whether places that look like a body are searched for targets that were not measured.
     pub(crate) keeps_places: bool,
 }
 
@@ -52,22 +51,22 @@ pub(crate) struct Frames<P> {
     frames: BTreeMap<FrameOrder, OpenFrame<P>>,
     /// The last plans of this process, which numbers them from 1.
     plans: BTreeMap<u64, Rc<Plan>>,
-    /// The number of the last one, which is how many were made.
+    /// Number of the last one, equal to the number of plans made.
     pub(crate) newest_plan: u64,
-    /// The last frame that is complete. It and all before it take nothing more.
+    /// The last complete frame. It and all before it accept nothing more.
     pub(crate) last_complete: Option<FrameOrder>,
-    /// The newest frame of which a view has come.
+    /// The newest frame with a view.
     pub(crate) newest: Option<FrameStamp>,
-    /// The newest frame in which each target's pose has left the process before this one.
+    /// The newest frame in which each target's pose was published by the previous process.
     published_before: Vec<Option<FrameOrder>>,
-    /// How the camera has turned, for frames that are not complete.
+    /// Rotations of the camera for frames that are not complete.
     rotations: VecDeque<Rotation>,
-    /// How many regions of interest have come.
+    /// Number of regions of interest that have arrived.
     arrivals: u64,
 }
 
 impl<P: AsRef<[u8]>> Frames<P> {
-    /// Starts without an open frame, for `targets` targets.
+    /// Creates the state without an open frame, for `targets` targets.
     pub(crate) fn new(keeping: Keeping, targets: usize) -> Self {
         Self {
             keeping,
@@ -82,7 +81,7 @@ impl<P: AsRef<[u8]>> Frames<P> {
         }
     }
 
-    /// Notes a plan that this process made.
+    /// Records a plan of this process.
     pub(crate) fn note_plan(&mut self, plan_id: u64, plan: &Plan) {
         self.newest_plan = plan_id;
         self.plans.insert(plan_id, Rc::new(plan.clone()));
@@ -91,25 +90,25 @@ impl<P: AsRef<[u8]>> Frames<P> {
         }
     }
 
-    /// How many views a plan has, as far as it is remembered.
+    /// Number of views in a plan, if it is still kept.
     pub(crate) fn views_of_plan(&self, plan_id: u64) -> Option<usize> {
         self.plans.get(&plan_id).map(|plan| plan.views.len())
     }
 
-    /// Takes this frame, and all before it, as complete: another process has ended them.
+    /// Marks this frame, and all before it, as complete: another process has ended them.
     pub(crate) fn begin_after(&mut self, ended: Option<FrameOrder>) {
         self.last_complete = self.last_complete.max(ended);
     }
 
-    /// The process before this one has published a target's pose in this frame. Which of the frames
-    /// before it had a pose too is not known, so none is published again.
+    /// Records that the previous process has published a target's pose in this frame. Its earlier
+    /// poses are not known, so no earlier frame is published again.
     pub(crate) fn note_published_before(&mut self, target: usize, order: Option<FrameOrder>) {
         if let Some(before) = self.published_before.get_mut(target) {
             *before = (*before).max(order);
         }
     }
 
-    /// The newest frame in which a target's pose has left, as far as such frames may still be open.
+    /// The newest frame in which a target's pose was published, if such frames may still be open.
     pub(crate) fn last_published(&self, target: usize) -> Option<FrameOrder> {
         let mut newest_first = self.frames.iter().rev();
         let newest = newest_first.find(|(_, frame)| is_published(&frame.parts, target));
@@ -117,22 +116,22 @@ impl<P: AsRef<[u8]>> Frames<P> {
         newest.map(|(order, _)| *order).max(before)
     }
 
-    /// How many frames wait for something.
+    /// Number of frames that await messages.
     pub(crate) fn count(&self) -> usize {
         self.waiting().count()
     }
 
-    /// The frames that wait for something.
+    /// The frames that await messages.
     fn waiting(&self) -> impl Iterator<Item = &OpenFrame<P>> {
         self.frames.values().filter(|frame| frame.phase == Phase::Open)
     }
 
-    /// Whether a frame is complete or has ended, or one behind it.
+    /// Whether a frame, or a later one, is complete or has ended.
     pub(crate) fn is_past(&self, stamp: &FrameStamp) -> bool {
         self.last_complete.is_some_and(|last| stamp.order() <= last)
     }
 
-    /// A frame that waits for something.
+    /// A frame that awaits messages.
     pub(crate) fn waiting_frame(&self, order: FrameOrder) -> Option<&OpenFrame<P>> {
         self.get(order).filter(|frame| frame.phase == Phase::Open)
     }
@@ -142,12 +141,12 @@ impl<P: AsRef<[u8]>> Frames<P> {
         self.frames.get(&order)
     }
 
-    /// A frame that has not ended, to be changed.
+    /// A frame that has not ended, mutable.
     pub(crate) fn get_mut(&mut self, order: FrameOrder) -> Option<&mut OpenFrame<P>> {
         self.frames.get_mut(&order)
     }
 
-    /// The frame of this stamp, opened if need be; `None` if it takes nothing more.
+    /// The frame with this stamp, opened if needed; `None` if it accepts nothing more.
     fn open(&mut self, stamp: &FrameStamp, plan_id: u64, now_ns: i64) -> Option<&mut OpenFrame<P>> {
         if self.is_past(stamp) {
             return None;
@@ -161,14 +160,14 @@ impl<P: AsRef<[u8]>> Frames<P> {
         }))
     }
 
-    /// Adds a view that was cut. False if its frame takes nothing more.
+    /// Adds a view that was cut. False if its frame accepts nothing more.
     pub(crate) fn add_view(&mut self, header: ViewHeader, pixels: P, now_ns: i64) -> bool {
         let (keeping, arrival) = (self.keeping, self.arrivals);
         let Some(frame) = self.open(&header.stamp, header.plan_id, now_ns) else { return false };
         frame.views.insert(header.view_index, header);
         let purpose = purpose_of(&header);
         if keeping.keeps_pixels {
-            // A proposal for which there was no place is not searched.
+            // A proposal without a place is not searched.
             let has_place = search_of(&header) != Search::Nothing;
             if keeping.keeps_places && purpose == Some(Purpose::Proposal) && has_place {
                 frame.places.add(header, pixels.as_ref());
@@ -186,8 +185,8 @@ impl<P: AsRef<[u8]>> Frames<P> {
         true
     }
 
-    /// Adds the record of a view, and gives its frame. `None` if nobody waits for it: its frame
-    /// takes nothing more, or another worker has answered before.
+    /// Adds the record of a view, and returns its frame. `None` if it is not awaited: its frame
+    /// accepts nothing more, or another worker has answered before.
     pub(crate) fn add_record(&mut self, record: Record, now_ns: i64) -> Option<&mut OpenFrame<P>> {
         let header = record.header;
         let frame = self.open(&header.stamp, header.plan_id, now_ns)?;
@@ -198,7 +197,7 @@ impl<P: AsRef<[u8]>> Frames<P> {
         Some(frame)
     }
 
-    /// Rectification is done with a frame.
+    /// Records that rectification has finished a frame.
     pub(crate) fn add_end(&mut self, end: FrameEnd, now_ns: i64) {
         if let Some(frame) = self.open(&end.stamp, end.plan_id, now_ns) {
             frame.end = Some(end);
@@ -213,7 +212,7 @@ impl<P: AsRef<[u8]>> Frames<P> {
         }
     }
 
-    /// Takes out the next rotation up to a frame.
+    /// Removes and returns the next rotation up to a frame.
     pub(crate) fn take_rotation(&mut self, until: FrameOrder) -> Option<Rotation> {
         let is_due = self.rotations.front().is_some_and(|next| next.stamp.order() <= until);
         if is_due { self.rotations.pop_front() } else { None }
@@ -228,8 +227,8 @@ impl<P: AsRef<[u8]>> Frames<P> {
         self.frames.values().map(|frame| frame.held.unanswered.len()).sum()
     }
 
-    /// Notes what a view shows whose record has come. Where it `waits`, a region of interest stays
-    /// held until the direct pass has seen it.
+    /// Records the scores of a view whose record has arrived. If it `waits`, a region of interest
+    /// stays held until its direct pass.
     pub(crate) fn answer(
         &mut self,
         order: FrameOrder,
@@ -246,8 +245,8 @@ impl<P: AsRef<[u8]>> Frames<P> {
         self.release_surplus();
     }
 
-    /// Takes out regions of interest of a frame, `most` at once, that came before those of other
-    /// frames.
+    /// Removes and returns up to `most` regions of interest of a frame that arrived before those of
+    /// other frames.
     pub(crate) fn take_regions(&mut self, order: FrameOrder, most: usize) -> Vec<u32> {
         let others = self.frames.iter().filter(|(other, _)| **other != order);
         let others = others.filter_map(|(_, frame)| frame.regions.front());
@@ -258,7 +257,7 @@ impl<P: AsRef<[u8]>> Frames<P> {
         frame.regions.drain(..due).map(|(_, view_index)| view_index).collect()
     }
 
-    /// Notes what those views of a frame show that have waited for the direct pass.
+    /// Records the scores of those views of a frame that waited for the direct pass.
     pub(crate) fn answer_seen(&mut self, order: FrameOrder) {
         let Some(frame) = self.frames.get_mut(&order) else { return };
         for (view_index, shows) in std::mem::take(&mut frame.unseen) {
@@ -267,7 +266,7 @@ impl<P: AsRef<[u8]>> Frames<P> {
     }
 
     /// Releases surplus views: the oldest of those without a record, and of the others those of
-    /// newer frames. The targets of a stalled frame keep their pixels so.
+    /// newer frames. So the targets of a stalled frame keep their pixels.
     fn release_surplus(&mut self) {
         while self.unanswered() > self.keeping.max_unanswered {
             self.frames.values_mut().any(|frame| frame.held.unanswered.pop_first().is_some());
@@ -287,11 +286,11 @@ impl<P: AsRef<[u8]>> Frames<P> {
         works.chain(self.completion(now_ns)).min()
     }
 
-    /// Whether the oldest frame that waits need not wait any more.
+    /// Whether the oldest waiting frame need not wait any longer.
     fn completion(&self, now_ns: i64) -> Option<Work> {
         let oldest = self.waiting().next()?;
         let is_overdue = now_ns >= oldest.deadline_ns || self.count() > MAX_OPEN_FRAMES;
-        // A frame that follows no plan of this process was under way when it began.
+        // A frame without a plan of this process was under way when it began.
         let is_partial = !(1..=self.newest_plan).contains(&oldest.plan_id)
             && self.waiting().any(OpenFrame::is_whole);
         let is_whole = oldest.is_whole();
@@ -300,7 +299,7 @@ impl<P: AsRef<[u8]>> Frames<P> {
         is_complete.then_some(Work::CompleteFrame { order, is_overdue })
     }
 
-    /// Waits for nothing more in a frame.
+    /// Ends the wait for messages of a frame.
     pub(crate) fn complete(&mut self, order: FrameOrder) {
         if let Some(frame) = self.frames.get_mut(&order) {
             frame.phase = Phase::Complete;
@@ -308,7 +307,7 @@ impl<P: AsRef<[u8]>> Frames<P> {
         }
     }
 
-    /// Leaves nothing but places to be measured in a frame.
+    /// Marks a frame as measured, except for places.
     pub(crate) fn set_measured(&mut self, order: FrameOrder) {
         if let Some(frame) = self.frames.get_mut(&order) {
             frame.phase = Phase::Measured;
@@ -319,7 +318,7 @@ impl<P: AsRef<[u8]>> Frames<P> {
         self.frames.remove(&order)
     }
 
-    /// When the oldest frame will be overdue, nanoseconds.
+    /// Deadline of the oldest frame, nanoseconds.
     pub(crate) fn next_deadline_ns(&self) -> Option<i64> {
         self.waiting().next().map(|frame| frame.deadline_ns)
     }

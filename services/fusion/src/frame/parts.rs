@@ -1,4 +1,4 @@
-//! How far the measurement of each target has come in one frame.
+//! Progress of the measurement of each target in one frame.
 
 use nalgebra::Isometry3;
 
@@ -6,7 +6,7 @@ use crate::account::Trial;
 use crate::measurement::PoseMeasurement;
 use crate::policy::TimeBudget;
 
-/// The inputs of an attempt, as far as they decide whether a retry can find anything new.
+/// The inputs of an attempt that determine whether a retry can have another result.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Attempt {
     /// The view that was read.
@@ -15,28 +15,28 @@ pub(crate) struct Attempt {
     pub(crate) decoded: usize,
     /// The number of rays of squares that are probably markers.
     pub(crate) candidates: usize,
-    /// How much time there was.
+    /// Its time budget.
     pub(crate) budget: TimeBudget,
 }
 
 impl Attempt {
-    /// Whether an attempt with these inputs is pointless after `failed` found nothing. A spent
-    /// budget allows only the first start, so it adds nothing to an attempt that had time.
+    /// Whether an attempt with these inputs is pointless after `failed`. A spent budget allows only
+    /// the first start, so it adds nothing to an attempt that had time.
     pub(crate) fn is_pointless_after(&self, failed: &Self) -> bool {
         (Self { budget: failed.budget, ..*self } == *failed)
             && (self.budget == failed.budget || self.budget == TimeBudget::Overspent)
     }
 }
 
-/// How far a target's measurement in one frame has come.
+/// Progress of a target's measurement in one frame.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(crate) enum Status {
     #[default]
     Pending,
-    /// The last try with these inputs led to nothing. Only new inputs are worth a retry.
+    /// The last try with these inputs failed. Only new inputs are worth a retry.
     Failed(Attempt),
-    /// Its pose has left, or may have left the process before this one. `direct_pose` is that pose
-    /// where it came from the direct pass: markers that are decoded later are compared with it.
+    /// Its pose was published, possibly by the previous process. `direct_pose` is that pose if it
+    /// came from the direct pass: markers that are decoded later are compared with it.
     Published {
         /// `camera_from_markers` of the direct pass.
         direct_pose: Option<Isometry3<f64>>,
@@ -51,15 +51,14 @@ pub(crate) struct Part {
     pub(crate) is_region_tried: bool,
     /// The direct pass whose pose was not accepted: the same start need not be aligned again.
     pub(crate) rejected: Option<Box<Trial>>,
-    /// The inputs of the background pass that was asked for.
+    /// The inputs of the requested background pass.
     pub(crate) background: Option<Attempt>,
-    /// What is left to correct the track by, if nothing better is found until the frame is
-    /// complete.
+    /// Pose that corrects the track, if no better one is found until the frame is complete.
     pub(crate) imprecise: Option<PoseMeasurement>,
 }
 
 impl Part {
-    /// Whether the target's pose in the frame has left.
+    /// Whether the target's pose in the frame was published.
     pub(crate) fn is_published(&self) -> bool {
         matches!(self.status, Status::Published { .. })
     }
@@ -82,7 +81,7 @@ impl Part {
 }
 
 /// The parts of `targets` targets in a frame, by their numbers. Poses of those that `is_published`
-/// have left the process before this one.
+/// were published by the previous process.
 pub(crate) fn parts_of(targets: usize, is_published: impl Fn(usize) -> bool) -> Vec<Part> {
     let part = |target| match is_published(target) {
         true => Part { status: Status::Published { direct_pose: None }, ..Part::default() },
@@ -91,12 +90,12 @@ pub(crate) fn parts_of(targets: usize, is_published: impl Fn(usize) -> bool) -> 
     (0..targets).map(part).collect()
 }
 
-/// Whether a target's pose in the frame has left.
+/// Whether a target's pose in the frame was published.
 pub(crate) fn is_published(parts: &[Part], target: usize) -> bool {
     parts.get(target).is_some_and(Part::is_published)
 }
 
-/// Numbers of the targets whose pose in the frame has not left.
+/// Numbers of the targets whose pose in the frame was not published.
 pub(crate) fn unpublished(parts: &[Part]) -> impl Iterator<Item = usize> {
     (0..parts.len()).filter(|&target| !parts[target].is_published())
 }

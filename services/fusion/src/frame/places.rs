@@ -1,6 +1,6 @@
 //! Places of a frame that look like a body: the views of its proposals, copied.
 //!
-//! The views themselves stay in shared memory only until their records have come, because
+//! The views themselves stay in shared memory only until their records have arrived, because
 //! rectification needs the room. These views are small.
 
 use std::collections::BTreeMap;
@@ -10,8 +10,8 @@ use flockeye_geometry::search::PROPOSAL_FIELD_RADII;
 use flockeye_geometry::view::View;
 use flockeye_imaging::align::Place;
 
-/// Places that are searched in one step, by as many threads. All of a frame would take longer than
-/// a stage may go without a sign of life.
+/// Number of places that are searched in one step, by as many threads. All of a frame would take
+/// longer than the watchdog's timeout.
 const AT_ONCE: usize = 2;
 
 /// Views of the places of one frame.
@@ -19,7 +19,7 @@ const AT_ONCE: usize = 2;
 pub(crate) struct Places {
     /// The views with their pixels, row by row, by their place in the plan.
     pub(crate) views: BTreeMap<u32, (ViewHeader, Vec<u8>)>,
-    /// The target that was looked for last at the first places; `None` before the first.
+    /// The last target of the search at the first places; `None` before the first.
     last_target: Option<usize>,
 }
 
@@ -28,13 +28,13 @@ impl Places {
         self.views.insert(header.view_index, (header, pixels.to_vec()));
     }
 
-    /// The views that are searched next.
+    /// The views of the next search.
     pub(crate) fn next(&self) -> impl Iterator<Item = (&ViewHeader, &Vec<u8>)> {
         self.views.values().take(AT_ONCE).map(|(header, pixels)| (header, pixels))
     }
 
-    /// The target, of these, that is to be looked for next at the next places. When all of them
-    /// have been, other places come next. `None` where none are left.
+    /// The next of these targets for the search at the next places. After all of them, other places
+    /// come next. `None` if none are left.
     pub(crate) fn next_target(&mut self, untracked: impl Iterator<Item = usize>) -> Option<usize> {
         let untracked: Vec<usize> = untracked.collect();
         let next = untracked.iter().copied().find(|target| Some(*target) > self.last_target);
@@ -47,8 +47,8 @@ impl Places {
     }
 }
 
-/// The place that a proposal's view shows, for a body with markers of `side_m`. Views are as wide
-/// as for the body with the largest radius in sides of its markers.
+/// The place of a proposal's view, for a body with markers of `side_m`. Views are as wide as for
+/// the body with the largest radius in sides of its markers.
 pub(crate) fn place_of(view: &View, side_m: f64, radius_in_sides: f64) -> Place {
     let side_rad = view.field_rad() / 2.0 / PROPOSAL_FIELD_RADII / radius_in_sides;
     Place {

@@ -1,7 +1,7 @@
 //! The views of a frame whose pixels alignment reads: for each target the best one.
 //!
-//! Views stay in shared memory and are read in place. [`HeldViews`] only says which of them are
-//! still held, because each held view is one that rectification cannot write to.
+//! Views stay in shared memory and are read in place. [`HeldViews`] only records which of them are
+//! still held, because rectification cannot write to a held view.
 
 use std::collections::BTreeMap;
 use std::rc::Rc;
@@ -22,8 +22,8 @@ pub(crate) struct HeldViews<P> {
     pub(crate) best: BTreeMap<usize, (ViewQuality, ViewHeader, Rc<P>)>,
 }
 
-/// How much a view shows of a target. No two views of a frame are equal, so the best one does not
-/// depend on the order in which they come.
+/// Score of a view for a target. No two views of a frame are equal, so the best one does not depend
+/// on their order.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct ViewQuality {
     /// Whether the view is this target's region of interest.
@@ -31,20 +31,20 @@ pub(crate) struct ViewQuality {
     /// Decoded markers of the target. Squares that only look like markers are found in many views,
     /// so they do not count.
     pub(crate) decoded: u32,
-    /// Squares that only look like its markers and agree with one pose of it, where nothing was
-    /// decoded and there is no track.
+    /// Squares that only look like its markers and fit one pose of it, if nothing was decoded and
+    /// there is no track.
     pub(crate) agreeing: u32,
     /// Its focal length, pixels.
     pub(crate) focal_px: f64,
-    /// How far from its middle the target is, as a tangent.
+    /// Distance of the target from its middle, as a tangent.
     pub(crate) off_centre: f64,
     /// Its place in the plan.
     pub(crate) view_index: u32,
 }
 
 impl ViewQuality {
-    /// How well a view shows a body, by what was found in it. `None` where it is not the body's own
-    /// region and shows no marker of it.
+    /// Score of a view for a body, from its detections. `None` if it is not the body's own region
+    /// and shows no marker of it.
     pub(crate) fn of(
         record: &Record,
         view: &ViewHeader,
@@ -79,7 +79,7 @@ impl ViewQuality {
                 let (focal_px, off_centre) = (view.focal_px, off_px / view.focal_px);
                 Self { is_own, decoded, agreeing, focal_px, off_centre, view_index }
             }
-            // Views beyond the first hit count for nothing, so the earliest view must win.
+            // Views beyond the first hit are ignored, so the earliest view must win.
             StopRule::FirstHit => {
                 let (decoded, agreeing, focal_px, off_centre) = (0, 0, 0.0, 0.0);
                 Self { is_own: false, decoded, agreeing, focal_px, off_centre, view_index }
@@ -111,8 +111,8 @@ impl<P> HeldViews<P> {
         self.unanswered.insert(header.view_index, (header, Rc::new(pixels)));
     }
 
-    /// Notes that a view's record has come. `shows` are the targets that it shows, and how well. It
-    /// stays held for those that it shows best.
+    /// Records the arrival of a view's record. `shows` are its scores for targets. It stays held
+    /// for those that it shows best.
     pub(crate) fn answered(&mut self, view_index: u32, shows: &[(usize, ViewQuality)]) {
         let Some((header, pixels)) = self.unanswered.remove(&view_index) else { return };
         for &(target, quality) in shows {

@@ -1,12 +1,11 @@
-//! The background pass: what takes several times as long as the other passes.
+//! The background pass, which takes several times as long as the other passes.
 //!
-//! A target that is not where its track predicts it may be found from rougher starts, or by a
-//! search round the prediction. A target without a track may be found by trying whatever its
-//! markers may mean. On two busy processors starts take 20 to 70 ms and the search 60 to 150, and
-//! nobody else's pose should wait for that. So these passes run beside the others, one at a time. A
-//! request is refused while another is under way, because a newer frame will ask again. Only an
-//! untracked target may queue behind a tracked one: no newer frame need show anything of it for a
-//! while.
+//! A target that is not at its predicted place may be found from rougher starts, or by a search
+//! around the prediction. A target without a track may be found from all poses that its markers
+//! allow. On two busy processors starts take 20 to 70 ms and the search 60 to 150. Other poses
+//! should not wait for that. So these passes run beside the others, one at a time. A request is
+//! refused while another runs, because a newer frame will repeat it. Only an untracked target may
+//! queue behind a tracked one, because newer frames may not show it for a while.
 
 use flockeye_contract::FrameOrder;
 use std::collections::BTreeSet;
@@ -27,14 +26,14 @@ use crate::decide::markers::supports;
 use crate::hypothesis::StartSource;
 use crate::policy::TimeBudget;
 
-/// Which background passes are under way, wait, or were refused. It holds no thread: whoever runs
-/// [`BackgroundQueue::take_job`] gives the answer back to [`BackgroundQueue::finish`].
+/// Background passes that run, wait, or were refused. It holds no thread: the caller of
+/// [`BackgroundQueue::take_job`] returns the answer to [`BackgroundQueue::finish`].
 #[derive(Debug, Default)]
 pub(crate) struct BackgroundQueue {
     pub(crate) under_way: Option<UnderWay>,
-    /// The job that is under way, until it is taken.
+    /// The job that was granted, until it is taken.
     to_run: Option<Job>,
-    /// The job that comes next.
+    /// The next job.
     waiting: Option<Job>,
     /// The target of the last job.
     last: Option<usize>,
@@ -42,12 +41,12 @@ pub(crate) struct BackgroundQueue {
     refused: BTreeSet<usize>,
 }
 
-/// The one background pass that is under way.
+/// The one running background pass.
 #[derive(Debug)]
 pub(crate) struct UnderWay {
     pub(crate) time: FrameTime,
     pub(crate) target: usize,
-    /// The distance that the view's rays are right for, metres.
+    /// Distance for which the view's rays are exact, metres.
     pub(crate) rays_m: f64,
     is_untracked: bool,
     /// Whether the target was measured in that frame meanwhile.
@@ -55,9 +54,9 @@ pub(crate) struct UnderWay {
 }
 
 impl BackgroundQueue {
-    /// Asks for a pass, and says whether it is granted. It is not while another is under way, but
-    /// an untracked target may queue behind a tracked one. A target that had the last pass goes
-    /// behind those that were refused meanwhile.
+    /// Requests a pass, and returns whether it is granted. It is refused while another runs, but an
+    /// untracked target may queue behind a tracked one. A target that had the last pass goes behind
+    /// those that were refused meanwhile.
     pub(crate) fn request(&mut self, time: FrameTime, inputs: &PassInputs<'_>) -> bool {
         let target = inputs.target;
         if let Some(under_way) = &self.under_way {
@@ -96,13 +95,13 @@ impl BackgroundQueue {
         self.to_run = Some(job);
     }
 
-    /// The job that is to be run now, once.
+    /// Returns the job to run now, once.
     pub(crate) fn take_job(&mut self) -> Option<Job> {
         self.to_run.take()
     }
 
-    /// Cancels what is under way for a target in a frame, because the target was measured there. A
-    /// job of that target that waits is dropped too: a newer frame has measured it.
+    /// Cancels the running pass for a target in a frame, because the target was measured there. A
+    /// waiting job of that target is dropped too: a newer frame has measured it.
     pub(crate) fn cancel(&mut self, order: FrameOrder, target: usize) {
         self.waiting.take_if(|job| job.target == target);
         if let Some(under_way) = &mut self.under_way
@@ -112,20 +111,20 @@ impl BackgroundQueue {
         }
     }
 
-    /// The frame of the pass that is under way and not cancelled.
+    /// The frame of the running pass that is not cancelled.
     pub(crate) fn awaited(&self) -> Option<FrameOrder> {
         let under_way = self.under_way.as_ref().filter(|under_way| !under_way.is_cancelled)?;
         Some(under_way.time.order)
     }
 
-    /// Whether a pass over a frame is under way or waits, cancelled or not.
+    /// Whether a pass over a frame runs or waits, cancelled or not.
     pub(crate) fn is_about(&self, order: FrameOrder) -> bool {
         let under_way = self.under_way.iter().map(|under_way| under_way.time);
         let mut times = under_way.chain(self.waiting.iter().map(|job| job.time));
         times.any(|time| time.order == order)
     }
 
-    /// Ends the job that was under way, and starts the one that waits.
+    /// Ends the running job, and starts the one that waits.
     pub(crate) fn finish(&mut self) -> Option<UnderWay> {
         let finished = self.under_way.take();
         if let Some(next) = self.waiting.take() {
@@ -135,21 +134,21 @@ impl BackgroundQueue {
     }
 }
 
-/// All that a background pass needs, copied, so that its view can be released.
+/// All inputs of a background pass, copied, so that its view can be released.
 #[derive(Debug)]
 pub struct Job {
     time: FrameTime,
     target: usize,
     is_untracked: bool,
     body: Body,
-    /// The trial, before it.
+    /// The trial, before the pass.
     trial: Box<Trial>,
     view: CopiedView,
     decoded: Vec<CornerRay>,
     starts: Vec<(StartSource, Start)>,
     /// The prediction of a confirmed track.
     confirmed: Option<Isometry3<f64>>,
-    /// The prediction that is searched round if no start leads to the body.
+    /// The prediction to search around if no start leads to the body.
     search_round: Option<Isometry3<f64>>,
 }
 
@@ -204,7 +203,7 @@ impl Job {
         })
     }
 
-    /// Runs the pass, and says what it found.
+    /// Runs the pass, and returns its result.
     pub(crate) fn run(mut self, aligner: &Aligner) -> Box<Trial> {
         let mut tried = Vec::new();
         let picture = self.view.picture();

@@ -1,4 +1,4 @@
-//! What a frame offers to measure one target by, collected once.
+//! Inputs for the measurement of one target in a frame, collected once.
 
 use flockeye_geometry::body::Body;
 use flockeye_geometry::pose::{CornerRay, PoseSolution, choose, solve};
@@ -13,11 +13,11 @@ use crate::hypothesis::{CornerPose, Hypothesis, StartSource};
 use crate::policy::TimeBudget;
 use crate::track_prior::TrackPrior;
 
-/// Solutions from corners that alignment starts from, lowest cost first: the right one may cost
-/// more than its mirror pose.
+/// Most solutions from corners as starts, lowest cost first: the right one may cost more than its
+/// mirror pose.
 const STARTS_FROM_CORNERS: usize = 3;
 
-/// What a frame offers to measure one target by.
+/// Inputs for the measurement of one target in a frame.
 #[derive(Debug, Clone)]
 pub(crate) struct PassInputs<'f> {
     pub(crate) target: usize,
@@ -26,20 +26,21 @@ pub(crate) struct PassInputs<'f> {
     pub(crate) decoded: Vec<CornerRay>,
     /// Rays of squares that are probably its markers: alignment may start from them.
     pub(crate) candidates: Vec<CornerRay>,
-    /// The distance that the rays are right for, metres; infinite where it does not matter.
+    /// Distance for which the rays are exact, metres; infinite where it does not matter.
     pub(crate) rays_m: f64,
     pub(crate) prior: TrackPrior,
     pub(crate) best_view: Option<BestView<'f>>,
-    /// The trial that begins: which pass it is, and how thorough it may be.
+    /// The trial that begins: the kind of pass, and its thoroughness.
     pub(crate) trial: Trial,
-    /// Whether the target may be searched for round its prediction where nothing else finds it.
+    /// Whether the target may be searched for around its prediction if nothing else finds it.
     pub(crate) may_search: bool,
-    /// The target's part in the frame: what earlier passes did. `None` where that does not count.
+    /// The target's part in the frame, with the results of earlier passes. `None` where that does
+    /// not count.
     pub(crate) part: Option<&'f Part>,
 }
 
 impl PassInputs<'_> {
-    /// What these inputs are, to compare them with later ones.
+    /// Summary of these inputs, to compare them with later ones.
     pub(crate) fn attempt(&self) -> Attempt {
         Attempt {
             view_index: self.best_view.map(|view| view.view_index),
@@ -49,7 +50,7 @@ impl PassInputs<'_> {
         }
     }
 
-    /// Whether an attempt, made from the failed one, is worth its time.
+    /// Whether an attempt, after the failed one, is worth its time.
     fn is_new(&self, attempt: impl Fn(&Attempt) -> Attempt) -> bool {
         let failed = self.part.and_then(Part::failed);
         failed.is_none_or(|failed| !attempt(&failed).is_pointless_after(&failed))
@@ -80,14 +81,14 @@ impl PassInputs<'_> {
         Trial { corner_poses, hypotheses, decision, ..self.trial.clone() }
     }
 
-    /// The prediction that is searched round, where that is not left to the background pass.
+    /// The prediction to search around, unless that is left to the background pass.
     fn search_round(&self) -> Option<&Isometry3<f64>> {
         let may_search = self.may_search && !self.trial.is_deferred;
         self.prior.predicted().filter(|_| may_search)
     }
 
-    /// The body compared with the picture, but not again from what failed before. `corners` are
-    /// what the decoded markers give, the best first.
+    /// Compares the body with the picture, but not again from a failed start. `corners` are the
+    /// solutions from the decoded markers, the best first.
     fn compare(
         &self,
         aligner: &Aligner,
@@ -113,15 +114,15 @@ impl PassInputs<'_> {
         let needs_facets = is_deferred && self.prior.predicted().is_none();
         let round = self.search_round();
         let decision = aligner.find(&sought, is_marked, confirmed, needs_facets, round, tried);
-        // A direct pass takes only what is certain: others wait for markers. The decision above
-        // also takes what is merely supported.
+        // A direct pass accepts only a certain pose: others wait for markers. The decision above
+        // also accepts a supported one.
         match tried.first() {
             Some(only) if pass == Pass::Direct => decide::of_direct_pass(only),
             _ => decision,
         }
     }
 
-    /// What a pass starts from, as far as it `is_worth` the time.
+    /// Starts of a pass, if `is_worth` the time.
     fn starts(
         &self,
         pass: Pass,
@@ -147,7 +148,7 @@ impl PassInputs<'_> {
                     let rough = |pose: &Isometry3<f64>| (source, Start::Rough(*pose));
                     starts.extend(predicted.map(rough));
                 }
-                // These follow from other starts, or the aligner finds them itself.
+                // These follow from other starts, or the aligner adds them itself.
                 StartSource::DirectPass
                 | StartSource::Mirror
                 | StartSource::Search
@@ -164,7 +165,7 @@ impl PassInputs<'_> {
         solutions.map(move |solution| (StartSource::DoubtfulSquares, start(solution)))
     }
 
-    /// What the direct pass found from the same start in the same view.
+    /// Result of the direct pass from the same start in the same view.
     fn rejected_start(&self, predicted: &Isometry3<f64>) -> Option<(StartSource, Start)> {
         let view_index = self.best_view?.view_index;
         let rejected = self.part?.rejected.as_ref()?;
@@ -174,7 +175,7 @@ impl PassInputs<'_> {
         is_same.then_some((StartSource::DirectPass, Start::Tried(found)))
     }
 
-    /// Whether a background pass has something to start from that no other of this frame had.
+    /// Whether a background pass has a start that no other of this frame had.
     pub(crate) fn wants_background(&self) -> bool {
         let has_time =
             self.trial.budget == TimeBudget::OneFrame || self.prior.confirmed().is_none();
@@ -184,8 +185,8 @@ impl PassInputs<'_> {
             && asked.is_none_or(|asked| !self.attempt().is_pointless_after(&asked))
     }
 
-    /// What a background pass starts from. Without a confirmed track the corners' solutions are
-    /// among it again, because what one start leads to is compared with what the others do.
+    /// Starts of a background pass. Without a confirmed track they include the corners' solutions
+    /// again, because the results of all starts compete.
     pub(crate) fn background_starts(&self) -> Vec<(StartSource, Start)> {
         let solutions = match self.prior.confirmed() {
             Some(_) => Vec::new(),

@@ -12,29 +12,28 @@ use crate::measure::FrameTime;
 use crate::measure::background::{BackgroundQueue, Job, UnderWay};
 
 impl Tracker {
-    /// The background pass that is to be run now.
+    /// Returns the background pass to run now.
     pub(crate) fn take_job(&mut self) -> Option<Job> {
         self.background.as_mut()?.take_job()
     }
 
-    /// The frame in which a background pass may still find something.
+    /// The frame in which a background pass may still have a result.
     pub(crate) fn awaited(&self) -> Option<FrameOrder> {
         self.background.as_ref().and_then(BackgroundQueue::awaited)
     }
 
-    /// Whether a background pass over a frame is under way or waits, cancelled or not.
+    /// Whether a background pass over a frame runs or waits, cancelled or not.
     pub fn has_background_of(&self, order: FrameOrder) -> bool {
         self.background.as_ref().is_some_and(|queue| queue.is_about(order))
     }
 
-    /// The frame of the background pass that is under way, cancelled or not.
+    /// The frame of the running background pass, cancelled or not.
     pub(crate) fn under_way(&self) -> Option<FrameOrder> {
         Some(self.background.as_ref()?.under_way.as_ref()?.time.order)
     }
 
-    /// Takes in the answer of the background pass that was under way. `parts` are those of its
-    /// frame. If that has ended meanwhile, the answer only corrects a track that it agrees with, or
-    /// starts one.
+    /// Handles the answer of the running background pass. `parts` are those of its frame. If that
+    /// has ended meanwhile, the answer only corrects a track that it fits, or starts one.
     pub(crate) fn background_answer(
         &mut self,
         answer: Trial,
@@ -50,8 +49,8 @@ impl Tracker {
         Some((finished.time.order, update?))
     }
 
-    /// Takes in what a background pass found, and says what became of it. When its frame has ended,
-    /// the pose must agree with the track or begin one, and nothing of it is published.
+    /// Handles the result of a background pass, and returns its outcome. After the end of its
+    /// frame, the pose must fit the track or begin one, and nothing of it is published.
     fn take_in_answer(
         &mut self,
         &UnderWay { time, target, rays_m, .. }: &UnderWay,
@@ -59,13 +58,13 @@ impl Tracker {
         part: Option<&mut Part>,
     ) -> (Option<Update>, Outcome) {
         let is_late = part.is_none();
-        // A pose that was found by the prior of a track that is lost since then means nothing.
+        // A pose from the prior of a track that is lost since then is meaningless.
         let may_begin_track =
             is_independent(&trial.decision, &trial.hypotheses, trial.is_confirmed)
                 && !self.targets[target].is_tracked()
                 && self.is_within_history(time);
         if is_late && may_begin_track {
-            // The frames since then did not show it only because it was not looked for there.
+            // Later frames did not show it only because it was not searched for there.
             self.targets[target].forget();
         }
         let Some(measurement) = trial.measurement() else {
@@ -73,7 +72,7 @@ impl Tracker {
         };
         let measurement = self.corrected(measurement, rays_m, target, time.at_s);
         if !is_late && !measurement.is_precise {
-            // Something better may be found until the frame ends.
+            // A better pose may be found until the frame ends.
             part.into_iter().for_each(|part| part.imprecise = Some(measurement));
             return (None, Outcome::Imprecise(measurement));
         }
@@ -90,8 +89,8 @@ impl Tracker {
         (update, outcome)
     }
 
-    /// Whether measurements of a frame that was exposed then still count. Those of another source
-    /// do not: its clock may be another.
+    /// Whether measurements of a frame with this exposure still count. Those of another source do
+    /// not, because its clock may differ.
     fn is_within_history(&self, FrameTime { order, at_s, .. }: FrameTime) -> bool {
         self.filter.is_some()
             && self.ended.is_none_or(|(ended, ended_s)| {

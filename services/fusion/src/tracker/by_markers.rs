@@ -15,8 +15,8 @@ use crate::policy::{TimeBudget, is_search_turn};
 use crate::track_prior::TrackPrior;
 
 impl Tracker {
-    /// Measures targets, each from some of a frame's records and its best view, and takes in what
-    /// was found.
+    /// Measures targets, each from some of a frame's records and its best view, and updates their
+    /// tracks.
     pub(super) fn corner_pass(
         &mut self,
         time: FrameTime,
@@ -26,7 +26,7 @@ impl Tracker {
         pass: Pass,
         budget: TimeBudget,
     ) -> Vec<Update> {
-        // Taken out meanwhile, because the inputs borrow from all else.
+        // Removed meanwhile, because the inputs borrow from everything else.
         let mut background = self.background.take();
         let has_background = background.is_some();
         let mut inputs: Vec<PassInputs<'_>> = Vec::new();
@@ -88,9 +88,9 @@ impl Tracker {
         updates
     }
 
-    /// Begins a corner pass over a target, and says whether it may search round the prediction.
-    /// What takes long is left to the background pass where others wait for it: a tracked target's
-    /// frame is still open, or another target is tracked.
+    /// Begins a corner pass over a target, and returns whether it may search around the prediction.
+    /// Long searches are left to the background pass if others wait: a tracked target's frame is
+    /// still open, or another target is tracked.
     pub(super) fn begin_trial(
         &self,
         time: FrameTime,
@@ -113,7 +113,7 @@ impl Tracker {
         (Trial { is_deferred, ..Trial::of(pass, &prior, budget) }, may_search)
     }
 
-    /// Collects what there is to measure a target by, or gives the reason why there is nothing.
+    /// Collects the inputs for a target, or returns the reason why there are none.
     pub(super) fn inputs<'f>(
         &'f self,
         time: FrameTime,
@@ -125,7 +125,7 @@ impl Tracker {
     ) -> Result<PassInputs<'f>, NotRun> {
         let body = &self.targets.get(target).ok_or(NotRun::NothingKnown)?.body;
         let prior = self.prior(target, time.at_s);
-        // All rays are brought to the best known distance before the pose is solved.
+        // All rays are corrected to the best known distance before the pose is solved.
         let rays_m = self.camera.parallax.as_ref().map_or(f64::INFINITY, |parallax| {
             let predicted = prior.confirmed().map(|prior| prior.camera_from_markers.translation);
             predicted.map_or(parallax.assumed_m, |position| position.vector.norm())
@@ -147,8 +147,7 @@ impl Tracker {
             candidates.extend(of_squares.into_iter().map(|ray| (record.header.view_index, ray)));
         }
         // Single squares are no evidence of an untracked target: a chequered wall has enough of
-        // them. Two in its best view that lie to each other as on the body are a place to start
-        // from.
+        // them. Two in its best view at the distance of the body's markers are a start.
         let is_known = !decoded.is_empty() || prior.predicted().is_some();
         let best_index = best_view.map(|best| best.view_index);
         candidates.retain(|(view_index, _)| is_known || Some(*view_index) == best_index);

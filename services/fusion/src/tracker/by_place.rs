@@ -1,4 +1,4 @@
-//! Searches of places that look like a body, for targets of which nothing else is known.
+//! Searches at places that look like a body, for targets that were not measured.
 
 use super::{Tracker, Update};
 use crate::account::{Pass, Trial};
@@ -16,7 +16,7 @@ impl Tracker {
         unpublished(parts).filter(|&target| Pass::Place.allows(&self.targets[target]))
     }
 
-    /// The place pass: looks for a target at some `places` of a complete frame. The first place
+    /// The place pass: searches for a target at some `places` of a complete frame. The first place
     /// that shows it counts. Each takes some tenths of a second.
     pub(crate) fn place_pass(
         &mut self,

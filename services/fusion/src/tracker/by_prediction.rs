@@ -50,8 +50,8 @@ impl Tracker {
         updates
     }
 
-    /// Takes in what the direct pass found in a view whose rays are right for `rays_m` and in which
-    /// the target moves at `rate`, radians per second.
+    /// Handles the result of the direct pass in a view whose rays are exact for `rays_m`. The
+    /// target moves at `rate`, radians per second.
     fn take_in_direct(
         &mut self,
         time: FrameTime,
@@ -91,7 +91,7 @@ impl Tracker {
         update
     }
 
-    /// What a region offers, or why the direct pass may not measure its target.
+    /// Inputs of a region, or the reason why the direct pass may not measure its target.
     fn region_inputs<'f>(
         &'f self,
         time: FrameTime,

@@ -1,5 +1,5 @@
-//! What tracks say of a time: where targets are, how they move as the camera sees them, and what
-//! that changes in a measurement.
+//! Predictions of tracks for a time: places and apparent motion of targets, and corrections of
+//! measurements.
 
 use flockeye_geometry::ego_rotation::CameraTurn;
 use flockeye_geometry::filter::{MotionEstimate, MotionModel};
@@ -13,7 +13,7 @@ use crate::readout::{after_s, carried};
 use crate::track_prior::TrackPrior;
 
 impl Tracker {
-    /// The camera has turned. What was measured since then is filtered anew.
+    /// Handles a rotation of the camera. Measurements since then are filtered anew.
     pub(crate) fn turn_camera(&mut self, turn: &CameraTurn) {
         self.camera.ego.add(turn);
         self.targets
@@ -21,24 +21,23 @@ impl Tracker {
             .for_each(|target| target.refilter(turn.earlier_s, &self.camera.ego));
     }
 
-    /// Where a tracked target is at a time.
+    /// Predicted pose of a tracked target at a time.
     pub fn prediction(&self, target: usize, at_s: f64) -> Option<MotionEstimate> {
         self.filter?;
         self.targets.get(target)?.predict(at_s, &self.camera.ego)
     }
 
-    /// Where the picture of a frame that is exposed at a time will show each tracked target, by its
-    /// number.
+    /// Predicted picture of each tracked target in a frame with this exposure, by its number.
     pub(crate) fn predictions(&self, at_s: f64) -> impl Iterator<Item = (usize, MotionEstimate)> {
         let targets = 0..self.targets.len();
         targets.filter_map(move |target| {
             let shown = self.prediction(target, self.shown_s(target, at_s))?;
-            // The prediction stands for the frame, whenever the body's rows are exposed.
+            // The prediction applies to the frame, for any exposure of the body's rows.
             Some((target, MotionEstimate { stamp_s: at_s, ..shown }))
         })
     }
 
-    /// When the rows are exposed that show a tracked target in the frame of a time, seconds.
+    /// Exposure time of the rows that show a tracked target in the frame of a time, seconds.
     fn shown_s(&self, target: usize, at_s: f64) -> f64 {
         let Some((camera, readout_s)) = &self.camera.readout else { return at_s };
         let prediction = self.prediction(target, at_s);
@@ -46,10 +45,10 @@ impl Tracker {
             .map_or(0.0, |known| after_s(camera, *readout_s, &known.camera_from_markers))
     }
 
-    /// A target's pose at a time as it is `by_s` seconds later: moved as its track says or, without
-    /// one, as what stands still.
+    /// A target's pose at a time, extrapolated by `by_s` seconds: with the velocity of its track
+    /// or, without one, as at rest.
     fn carried(&self, target: usize, at_s: f64, pose: &PoseEstimate, by_s: f64) -> PoseEstimate {
-        // A late answer is of a time before the track's.
+        // A late answer has a time before the track's.
         let at_end = || self.prediction(target, self.ended?.1);
         if let Some(known) = self.prediction(target, at_s).or_else(at_end) {
             let (velocity, rate) = (known.apparent_velocity(), known.rate - known.camera_rate);
@@ -69,8 +68,8 @@ impl Tracker {
         carried(pose, (&velocity, &turning), &Matrix6::from_diagonal(&variances), by_s)
     }
 
-    /// How a target moves across the line of sight while a frame is exposed, as far as its track
-    /// says: no more than a confirmed one's `prior`.
+    /// Motion of a target across the line of sight during a frame's exposure, from its track:
+    /// limited to a confirmed track's `prior`.
     pub(super) fn motion(&self, target: usize, at_s: f64, prior: &TrackPrior) -> Motion {
         let prediction = prior.confirmed().and_then(|_| self.prediction(target, at_s));
         let Some(prediction) = prediction else { return Motion::default() };
@@ -81,8 +80,8 @@ impl Tracker {
         Motion { rate_in_camera, exposure_s: self.camera.exposure.seconds() }
     }
 
-    /// What its track says of where the frame of a time shows a target. Without a filter there is
-    /// no track.
+    /// Its track's prediction of the picture in the frame of a time. Without a filter there is no
+    /// track.
     pub(super) fn prior(&self, target: usize, at_s: f64) -> TrackPrior {
         match self.filter {
             Some(_) => self.targets[target].prior(self.shown_s(target, at_s), &self.camera.ego),
@@ -90,8 +89,8 @@ impl Tracker {
         }
     }
 
-    /// A target's measurement whose rays were right for `rays_m`, corrected to its own distance,
-    /// and to the middle of the exposure at `at_s`.
+    /// A target's measurement from rays that were exact for `rays_m`, corrected to its own
+    /// distance, and to the middle of the exposure at `at_s`.
     pub(super) fn corrected(
         &self,
         measurement: PoseMeasurement,

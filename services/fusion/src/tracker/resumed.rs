@@ -1,4 +1,4 @@
-//! Tracks that go on in another process.
+//! Tracks that continue in another process.
 
 use flockeye_contract::FrameOrder;
 use flockeye_geometry::ego_rotation::EgoRotation;
@@ -7,8 +7,8 @@ use super::Tracker;
 use crate::target::SavedTarget;
 
 impl Tracker {
-    /// The targets with their tracks, how the camera has turned, and what blur has shown of the
-    /// exposure. `published` says in which frame each target's pose has left last.
+    /// State for a successor: targets with their tracks, rotation of the camera, and exposure from
+    /// blur. `published` is the frame of each target's last published pose.
     pub(crate) fn saved(
         &self,
         published: impl Fn(usize) -> Option<FrameOrder>,
@@ -18,8 +18,8 @@ impl Tracker {
         (saved, self.camera.ego.clone(), self.camera.exposure.learned())
     }
 
-    /// Goes on with the tracks of another process, and returns the names of their bodies. Bodies
-    /// that this process does not know, and tracks with numbers that are not finite, are left out.
+    /// Continues the tracks of another process, and returns the names of their bodies. Unknown
+    /// bodies, and tracks with numbers that are not finite, are left out.
     pub(crate) fn resume(
         &mut self,
         saved: Vec<SavedTarget>,

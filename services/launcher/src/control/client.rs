@@ -1,4 +1,4 @@
-//! The side of the control channel that asks.
+//! Client side of the control channel.
 
 use std::io::{BufRead, BufReader, ErrorKind, Write};
 use std::os::unix::net::UnixStream;
@@ -10,14 +10,14 @@ use serde_json::Value;
 
 use super::{ControlRequest, Reply, socket_path};
 
-/// A launcher that sends nothing for this long hangs. A swap sends a line at each step.
+/// Timeout of a launcher that sends nothing. A swap sends a line at each step.
 const PATIENCE: Duration = Duration::from_secs(120);
 
-/// Asks the launcher of `instance`, hands its progress to `show`, and returns its last reply: in
-/// words, and as a value.
+/// Sends `request` to the launcher of `instance`, and passes its progress to `show`. Returns the
+/// last reply as text and as a value.
 ///
 /// # Errors
-/// It cannot be reached, or it has not done what was asked for; the message is its reason.
+/// The launcher cannot be reached, or it has not done the request; the message is its reason.
 pub fn ask(
     instance: &Instance,
     request: &ControlRequest,

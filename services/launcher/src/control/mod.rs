@@ -22,7 +22,7 @@ pub(crate) fn socket_path(folder: &Path) -> PathBuf {
     folder.join("control")
 }
 
-/// A request longer than this is refused.
+/// Maximum length of a request, bytes. Longer ones are refused.
 pub(crate) const MAX_REQUEST_BYTES: usize = 65_536;
 
 /// One worker of a stage, written `detection.1`, or `fusion` for the first.
@@ -41,7 +41,7 @@ impl fmt::Display for WorkerName {
     }
 }
 
-/// A worker of a stage that may be a foreign one, as a [`WorkerName`] is written.
+/// Name of a worker, whose stage may be a foreign one, in the form of a [`WorkerName`].
 pub(crate) fn worker_label(stage: &str, replica: u32) -> String {
     match replica {
         0 => stage.to_owned(),
@@ -87,11 +87,11 @@ impl TryFrom<String> for WorkerName {
     }
 }
 
-/// What a client asks for.
+/// Request of a client.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "command", rename_all = "snake_case", deny_unknown_fields)]
 pub enum ControlRequest {
-    /// What runs.
+    /// Report all processes.
     Status,
     /// End a worker and leave it ended; without one: end the pipeline.
     Stop {
@@ -112,7 +112,7 @@ pub enum ControlRequest {
     Swap(SwapRequest),
 }
 
-/// How a worker is to be replaced.
+/// Parameters of a swap.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SwapRequest {
@@ -124,37 +124,37 @@ pub struct SwapRequest {
     /// Program and arguments of another implementation. Empty: the one that runs.
     #[serde(default)]
     pub program: Vec<String>,
-    /// How long the new process may take to do as well as the old one, seconds.
+    /// Deadline by which the new process must do as well as the old one, seconds.
     pub within_s: f64,
     /// Whether the new process may do worse than the old one.
     #[serde(default)]
     pub accept_worse: bool,
 }
 
-/// What a client gets.
+/// Reply to a client.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Reply {
-    /// What has been done so far, in words. More follows.
+    /// Progress so far, in words. More replies follow.
     Progress(String),
-    /// The request is done: in words, and as a value for programs.
+    /// The request is done: result in words, and as a value for programs.
     Done {
         /// The result in words.
         text: String,
         /// The result for programs.
         report: serde_json::Value,
     },
-    /// The request was not done, and why.
+    /// The request was not done; the text is the reason.
     Failed(String),
 }
 
 impl Reply {
-    /// An answer that the request is done. The text is the whole result.
+    /// Final reply whose text is the whole result.
     pub(crate) fn done(text: impl Into<String>) -> Self {
         Self::Done { text: text.into(), report: serde_json::Value::Null }
     }
 
-    /// Whether nothing follows.
+    /// Whether no further reply follows.
     pub(crate) fn is_last(&self) -> bool {
         !matches!(self, Self::Progress(_))
     }

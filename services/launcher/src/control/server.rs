@@ -11,14 +11,13 @@ use anyhow::Context;
 
 use super::{ControlRequest, MAX_REQUEST_BYTES, Reply, socket_path};
 
-/// A client that has not sent its request after this long is dropped.
+/// Timeout of a client that has not sent its request.
 const REQUEST_TIME: Duration = Duration::from_secs(2);
-/// More clients at once than this wait.
+/// Maximum number of clients at once; further clients wait.
 const MAX_CLIENTS: usize = 16;
 
-/// A client, as long as it is connected.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub(crate) struct ClientId(u64);
+/// Number of a connected client.
+pub(crate) type ClientId = u64;
 
 struct ControlClient {
     stream: UnixStream,
@@ -27,11 +26,11 @@ struct ControlClient {
     has_asked: bool,
 }
 
-/// The socket, and who is connected.
+/// The socket, and the connected clients.
 pub(crate) struct Server {
     listener: UnixListener,
     clients: BTreeMap<ClientId, ControlClient>,
-    next: u64,
+    next: ClientId,
 }
 
 impl Server {
@@ -42,10 +41,10 @@ impl Server {
     pub(crate) fn open(folder: &Path) -> anyhow::Result<Self> {
         let path = socket_path(folder);
         let context = || format!("cannot open the control channel {}", path.display());
-        // A launcher that was killed has left it. Only one at a time has the instance.
+        // A killed launcher leaves its socket. Only one launcher at a time owns the instance.
         drop(std::fs::remove_file(&path));
-        // The folder is the owner's alone, so nobody else reaches the socket before its mode is
-        // set.
+        // The folder is accessible to its owner only, so no other user reaches the socket before
+        // its mode is set.
         let listener = UnixListener::bind(&path).with_context(context)?;
         std::fs::set_permissions(&path, std::fs::Permissions::from_mode(0o600))
             .with_context(context)?;
@@ -53,7 +52,8 @@ impl Server {
         Ok(Self { listener, clients: BTreeMap::new(), next: 0 })
     }
 
-    /// The requests that have come. Clients that send no request get an error and are dropped.
+    /// Requests received since the last call. Clients that send no request get an error and are
+    /// dropped.
     pub(crate) fn poll(&mut self) -> Vec<(ClientId, ControlRequest)> {
         while self.clients.len() < MAX_CLIENTS
             && let Ok((stream, _)) = self.listener.accept()
@@ -68,7 +68,7 @@ impl Server {
                 since: Instant::now(),
                 has_asked: false,
             };
-            self.clients.insert(ClientId(self.next), client);
+            self.clients.insert(self.next, client);
             self.next += 1;
         }
         let mut requests = Vec::new();
@@ -91,7 +91,8 @@ impl Server {
         requests
     }
 
-    /// Sends a reply. The last one closes the connection, and so does a client that does not read.
+    /// Sends a reply. The last reply closes the connection, and so does a client that does not
+    /// read.
     pub(crate) fn reply(&mut self, id: ClientId, reply: &Reply) {
         let Some(client) = self.clients.get_mut(&id) else { return };
         let is_sent = serde_json::to_vec(reply).is_ok_and(|mut line| {
@@ -104,7 +105,7 @@ impl Server {
     }
 }
 
-/// What a client has sent.
+/// Input of a client.
 enum ClientInput {
     Nothing,
     Request(ControlRequest),
@@ -118,7 +119,7 @@ impl ControlClient {
         loop {
             match self.stream.read(&mut chunk) {
                 Ok(0) => return ClientInput::Closed,
-                // Nothing is expected of it any more.
+                // After its request, further bytes of a client are ignored.
                 Ok(_) if self.has_asked => {}
                 Ok(count) => self.received.extend_from_slice(&chunk[..count]),
                 Err(error) if error.kind() == ErrorKind::WouldBlock => break,

@@ -15,7 +15,7 @@ pub(crate) struct DashboardReport {
     pub frames: u64,
     /// Frames that the source sent meanwhile and that were skipped.
     pub skipped: u64,
-    /// How often each part of the sphere was searched since then. None where nothing is swept.
+    /// Search rate of each part of the sphere since then. None where nothing is swept.
     pub sphere: Option<SweepReport>,
     /// Each process, by stage and number.
     pub stages: Vec<Value>,
@@ -27,19 +27,19 @@ pub(crate) struct DashboardReport {
 pub(crate) struct NeighbourReport {
     pub name: String,
     pub state: &'static str,
-    /// What its measurement in the last frame rests on: nothing, decoded or aligned.
+    /// Source of its measurement in the last frame: nothing, decoded or aligned.
     pub measured_by: &'static str,
     /// Position in the observer's frame, metres.
     pub position_m: [f64; 3],
     /// Root of the position covariance's trace, metres.
     pub deviation_m: f64,
-    /// Age of the light that its pose was last measured by, milliseconds.
+    /// Age of the exposure of its last measurement, milliseconds.
     pub age_ms: f64,
     /// Markers decoded in its last frame.
     pub markers: u32,
-    /// Where its last pose's time went, milliseconds from stage to stage; null where it is unknown.
+    /// Latency of its last pose in each stage, milliseconds; null where it is unknown.
     pub latency_ms: Value,
-    /// Distance from the true position, metres, where the source knows it.
+    /// Distance from the true position, metres, where the source provides it.
     pub error_m: Option<f64>,
 }
 
@@ -81,8 +81,7 @@ impl Dashboard {
     }
 }
 
-/// One process: what it does each second and did since it started, the latency of its work since
-/// its last report (null where it did nothing), and what it takes of the machine.
+/// One process: rates, totals, latency since its last report (null without work), and machine load.
 fn stage_report(stage: &str, replica: u32, rates: &HealthRates, now_ns: i64) -> Value {
     let last = &rates.last;
     json!({

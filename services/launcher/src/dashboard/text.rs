@@ -70,7 +70,7 @@ impl Dashboard {
         text
     }
 
-    /// The newest of it in a line.
+    /// The newest state in one line.
     pub(crate) fn line(&self, now_ns: i64) -> String {
         let silent: Vec<_> = self
             .stages
@@ -157,7 +157,7 @@ impl Dashboard {
     }
 }
 
-/// The values in rising order.
+/// Values in ascending order.
 fn rising(samples: &VecDeque<f64>) -> Vec<f64> {
     let mut rising: Vec<_> = samples.iter().copied().collect();
     rising.sort_by(f64::total_cmp);

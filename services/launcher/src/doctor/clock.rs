@@ -1,4 +1,4 @@
-//! Whether the clock is synchronised: poses are stamped in UTC, and peers get to know whether that
+//! Clock synchronisation: poses are stamped in UTC, and reports to peers state whether the stamps
 //! can be trusted.
 
 use flockeye_network::utc_from_monotonic;
@@ -9,7 +9,8 @@ use super::Machine;
 
 const TOPIC: &str = "clock";
 
-/// What synchronises clocks, by the names of their processes (15 characters at most, proc(5)).
+/// Programs that synchronise clocks, by the names of their processes (15 characters at most,
+/// proc(5)).
 const SYNCHRONISERS: [(&str, &str); 5] = [
     ("systemd-timesyn", "systemd-timesyncd"),
     ("chronyd", "chrony"),

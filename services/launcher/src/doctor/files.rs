@@ -1,4 +1,4 @@
-//! The files that describe a machine.
+//! Files of the system that describe a machine, such as those in `/proc`.
 
 #[cfg(test)]
 use std::path::Path;

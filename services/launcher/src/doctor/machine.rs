@@ -4,10 +4,9 @@ use flockeye_runtime::findings::Finding;
 
 use super::Machine;
 
-/// Fewer processors than this do not keep 30 frames a second (docs/results/README.md is measured on
-/// two).
+/// Minimum number of processors for 30 frames a second (docs/results/README.md is measured on two).
 const FEWEST_PROCESSORS: usize = 2;
-/// Processors throttle themselves not far above it, degrees Celsius.
+/// Temperature not far below the one at which processors throttle themselves, degrees Celsius.
 const HOT_C: f64 = 85.0;
 
 pub(crate) fn examine(machine: &Machine) -> Vec<Finding> {
@@ -76,7 +75,7 @@ fn governor(machine: &Machine) -> Finding {
     }
 }
 
-/// The temperatures that this machine shows: of which part, and degrees Celsius.
+/// Temperatures of this machine's parts, degrees Celsius.
 pub(crate) fn temperatures_c(machine: &Machine) -> Vec<(String, f64)> {
     let folder = "/sys/class/thermal";
     let zones = machine.names(folder).into_iter().filter(|name| name.starts_with("thermal_zone"));
@@ -89,7 +88,7 @@ pub(crate) fn temperatures_c(machine: &Machine) -> Vec<(String, f64)> {
         .collect()
 }
 
-/// The clocks of the processors: which, and Hz.
+/// Clock frequencies of the processors, Hz.
 pub(crate) fn frequencies_hz(machine: &Machine) -> Vec<(String, f64)> {
     let folder = "/sys/devices/system/cpu";
     let cpus = machine.names(folder).into_iter();

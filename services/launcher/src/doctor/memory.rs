@@ -1,4 +1,4 @@
-//! Shared memory, what limits it, and who would remove it.
+//! Shared memory, its limits, and services that would remove it.
 
 use flockeye_config::Resolved;
 use flockeye_runtime::findings::Finding;
@@ -10,10 +10,10 @@ use super::Machine;
 
 const TOPIC: &str = "memory";
 
-/// The default pipeline's processes were seen with 121 to 174 open files each, and more workers
-/// need more.
+/// Required limit of open files. The default pipeline's processes had 121 to 174 each, and more
+/// workers need more.
 const FEWEST_FILES: u64 = 1024;
-/// Debian numbers regular users from here on.
+/// First number of a regular user on Debian.
 const FIRST_REGULAR_USER: u32 = 1000;
 
 pub(crate) fn examine(machine: &Machine, resolved: &Resolved) -> Vec<Finding> {
@@ -54,8 +54,7 @@ fn shared_memory(budget: &Budget) -> Finding {
     }
 }
 
-/// systemd-logind removes a regular user's shared memory when he logs out, under a running pipeline
-/// too.
+/// systemd-logind removes a regular user's shared memory at logout, even under a running pipeline.
 fn removed_at_logout(machine: &Machine, user: u32) -> Option<Finding> {
     let has_logind = machine.path("/run/systemd/seats").exists();
     if user < FIRST_REGULAR_USER || !has_logind {
@@ -94,7 +93,7 @@ fn files() -> Option<Finding> {
     })
 }
 
-/// Whether the priorities that are configured can be had.
+/// Whether this user may set the configured priorities.
 fn priorities(resolved: &Resolved) -> Vec<Finding> {
     let is_root = getuid().is_root();
     let highest = getrlimit(Resource::Rtprio).current.unwrap_or(u64::MAX);
@@ -128,7 +127,7 @@ fn priorities(resolved: &Resolved) -> Vec<Finding> {
     findings
 }
 
-/// What dead runs of this user left.
+/// Leftovers of dead runs of this user.
 fn leftovers() -> Option<Finding> {
     let dead = Instance::all().into_iter().filter(|instance| !instance.is_running());
     let left: Vec<_> = dead

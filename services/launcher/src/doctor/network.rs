@@ -12,7 +12,8 @@ use super::Machine;
 
 const TOPIC: &str = "network";
 const KEYS: &str = "keys";
-/// A certificate that ends sooner should be renewed before the next campaign, days.
+/// Minimum remaining validity of a certificate, days. A shorter one should be renewed before the
+/// next campaign.
 const SOON_DAYS: i64 = 7;
 const DAY_S: i64 = 86_400;
 
@@ -27,7 +28,7 @@ pub(crate) fn examine(machine: &Machine, pipeline: &Pipeline) -> Vec<Finding> {
     let parameters = NetworkParameters::of_drone(pipeline);
     let mut findings = keys(&parameters);
     let have_keys = findings.iter().all(|finding| finding.gravity != Gravity::Problem);
-    // The check reads the keys too: their faults are reported once.
+    // The check also reads the keys: their faults are reported once.
     if have_keys && let Err(error) = parameters.check() {
         let cure = "gateway in the configuration";
         findings.push(Finding::problem(TOPIC, error.to_string(), cure));
@@ -65,7 +66,7 @@ fn address(endpoint: &str) -> Option<Finding> {
 const UP: u32 = 0x1;
 const MULTICAST: u32 = 0x1000;
 
-/// Whether an interface can be scouted on. Given as an address it is bound to above, or not at all.
+/// Whether peers can be scouted on an interface. One that is given as an address is not examined.
 fn interface(machine: &Machine, name: &str) -> Option<Finding> {
     if name.parse::<IpAddr>().is_ok() {
         return None;

@@ -1,4 +1,4 @@
-//! The stages' programs: whether each is there, runs and is of this build, and what it finds on the
+//! Programs of the stages: whether each exists, runs and is of this build, and its findings on the
 //! machine.
 
 use std::io::Write;
@@ -11,10 +11,10 @@ use flockeye_contract::{CONTRACT_VERSION, StageName};
 use flockeye_runtime::findings::{EXAMINE, Finding, Report};
 
 const TOPIC: &str = "programs";
-/// A program that has not answered by then hangs: graphics drivers take seconds.
+/// Timeout of a program's answer. Graphics drivers take seconds.
 const PATIENCE: Duration = Duration::from_secs(20);
 
-/// Asks every stage that runs.
+/// Runs the examination of every configured stage.
 pub(crate) fn examine(pipeline: &Pipeline) -> Vec<Finding> {
     let json = match serde_json::to_vec(pipeline) {
         Ok(json) => json,
@@ -46,7 +46,7 @@ pub(crate) fn examine(pipeline: &Pipeline) -> Vec<Finding> {
     findings
 }
 
-/// A foreign program: it is only looked whether it is there.
+/// Of a foreign program only the existence is examined.
 fn foreign(stage: StageName, program: &str) -> Finding {
     let name = stage.name();
     match program::find(program) {
@@ -61,7 +61,7 @@ fn foreign(stage: StageName, program: &str) -> Finding {
     }
 }
 
-/// What a stage's program reports.
+/// Report of a stage's program.
 fn ask(stage: StageName, pipeline: &[u8]) -> Result<Report, Finding> {
     let program = format!("flockeye-{}", stage.name());
     let problem =
@@ -77,7 +77,7 @@ fn ask(stage: StageName, pipeline: &[u8]) -> Result<Report, Finding> {
         .spawn()
         .map_err(|error| problem(error.to_string(), libraries))?;
     if let Some(mut input) = child.stdin.take() {
-        // One that does not read has ended, and is asked for its status below.
+        // A program that does not read has ended; its status is read below.
         drop(input.write_all(pipeline));
     }
     let started = Instant::now();
@@ -85,7 +85,7 @@ fn ask(stage: StageName, pipeline: &[u8]) -> Result<Report, Finding> {
         std::thread::sleep(Duration::from_millis(5));
     }
     if matches!(child.try_wait(), Ok(None)) {
-        // It hangs in a driver, perhaps for ever.
+        // The program hangs in a driver, perhaps for ever.
         drop(child.kill());
         return Err(problem(
             format!("no answer in {} s", PATIENCE.as_secs()),

@@ -16,7 +16,7 @@ const LIVE: [(&str, &str); 4] =
 const WAKE: &str = "switch it on, press its mode button until LIVE shows (or hold it while switching on), and plug it \
                     in with a data cable; it must not sleep: set its sleep time and power-off time to never";
 
-/// Looks for one, if the source is one or one is plugged in.
+/// Looks for a Theta, if it is the configured source or one is plugged in.
 pub(crate) fn examine(machine: &Machine, source: &str) -> Vec<Finding> {
     let is_wanted = source == "theta" || source.contains("thetauvcsrc");
     let folder = "/sys/bus/usb/devices";

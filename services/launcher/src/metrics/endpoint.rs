@@ -1,5 +1,4 @@
-//! Answers requests for metrics: one after another, because nothing takes long, and each with a
-//! deadline.
+//! HTTP endpoint of the metrics. It answers one request after another, each with a deadline.
 
 use std::io::{self, Read, Write};
 use std::net::{SocketAddr, TcpListener, TcpStream};
@@ -8,29 +7,29 @@ use std::time::{Duration, Instant};
 
 use flockeye_runtime::lock::lock;
 
-/// How long a request may take to come, and its answer to go.
+/// Deadline for receiving a request, and for sending its answer.
 const DEADLINE: Duration = Duration::from_secs(1);
-/// Longest head of a request, bytes.
+/// Maximum length of a request's head, bytes.
 const MAX_HEAD: usize = 8 * 1024;
-/// A launcher that has written nothing for this long hangs; a pipeline in which no frame has ended
-/// is not ready.
+/// Timeout: a launcher that has written nothing for so long hangs. A pipeline in which no frame has
+/// ended is not ready.
 const SILENCE: Duration = Duration::from_secs(3);
 
-/// What OpenMetrics calls itself.
+/// Content type of OpenMetrics.
 const OPEN_METRICS: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
 const PLAIN: &str = "text/plain; charset=utf-8";
 
 #[derive(Debug, Clone)]
 pub(crate) struct MetricsPage {
     pub text: String,
-    /// When it was written: a launcher that hangs writes none.
+    /// Time of writing: a launcher that hangs writes no page.
     pub written: Instant,
-    /// When the last frame ended.
+    /// End of the last frame.
     pub last_frame: Option<Instant>,
 }
 
-/// Answers at this address, from a thread of its own that ends with the process. Returns the
-/// address, with its port.
+/// Serves the page at this address, from a thread that ends with the process. Returns the address
+/// with its port.
 pub(crate) fn start(listen: SocketAddr, page: Arc<Mutex<MetricsPage>>) -> io::Result<SocketAddr> {
     let listener = TcpListener::bind(listen)?;
     let address = listener.local_addr()?;
@@ -67,7 +66,7 @@ fn serve(mut connection: TcpStream, page: &Mutex<MetricsPage>) -> io::Result<()>
     connection.write_all(reply.as_bytes())
 }
 
-/// The answer to the bytes that have come so far; `None`: more must come.
+/// Answer to the bytes received so far; `None`: more must come.
 fn reply(head: &[u8], page: impl FnOnce() -> MetricsPage) -> Option<String> {
     let mut headers = [httparse::EMPTY_HEADER; 64];
     let mut request = httparse::Request::new(&mut headers);

@@ -1,4 +1,4 @@
-//! What there was at one moment, as metrics.
+//! Metrics of one moment.
 
 use std::fmt;
 use std::sync::{Arc, Mutex};
@@ -18,15 +18,14 @@ use crate::dashboard::report::NeighbourReport;
 use crate::doctor::Machine;
 use crate::doctor::machine::{frequencies_hz, temperatures_c};
 
-/// Names and values that distinguish the values of a metric.
+/// Label names and values that distinguish the values of a metric.
 pub(super) type Labels = Vec<(&'static str, String)>;
 
 /// The states that a track can be shown in.
 const TRACK_STATES: [TrackState; 4] =
     [TrackState::Tentative, TrackState::Confirmed, TrackState::Coasting, TrackState::Lost];
 
-/// A metric of this name, what it means, and its values with their labels: a counter, which only
-/// rises, or a gauge.
+/// A metric: counter, which only rises, or gauge, with its name, meaning and labelled values.
 #[derive(Debug, Clone)]
 pub(super) struct Metric {
     kind: MetricType,
@@ -36,7 +35,7 @@ pub(super) struct Metric {
     values: Vec<(Labels, f64)>,
 }
 
-/// A metric of every process: its kind, its name, what it means, its unit and its value.
+/// A metric of every process: kind, name, meaning, unit and value.
 type OfStage = (MetricType, &'static str, &'static str, Option<Unit>, fn(&HealthRates) -> f64);
 
 /// The metrics of a process.

@@ -5,20 +5,20 @@ use flockeye_peer::DronePlace;
 /// Characters in a row, and rows. A character is about twice as high as wide.
 const COLUMNS: usize = 61;
 const ROWS: usize = 21;
-/// The least distance from the middle to the upper edge, metres.
+/// Minimum distance from the middle to the upper edge, metres.
 const LEAST_M: f64 = 1.0;
 
-/// The drones from above: forward is up, left is left. `own` is the middle.
+/// Map of the drones from above: forward is up, left is left. `own` is the middle.
 pub(crate) fn map(own: &str, places: &[DronePlace]) -> String {
     let flat = |place: &DronePlace| {
         let position = place.own_from_drone.a_from_b.translation.vector;
         (position.x, position.y)
     };
     let farthest = places.iter().map(flat).map(|(x, y)| x.abs().max(y.abs()));
-    // Round metres, so that the map does not breathe with each pose.
+    // Rounded scale, metres, so that the map does not change with each pose.
     let half_m = farthest.fold(LEAST_M, f64::max).ceil();
     let mut cells = vec![vec!['\u{b7}'; COLUMNS]; ROWS];
-    // A few dots are enough to see distances by.
+    // A few dots suffice as a scale.
     for (row, line) in cells.iter_mut().enumerate() {
         for (column, cell) in line.iter_mut().enumerate() {
             if row % 5 != 0 || column % 10 != 0 {

@@ -12,25 +12,25 @@ use rustix::process::{Pid, PidfdFlags, pidfd_open};
 pub(crate) enum RunningProcess {
     /// This launcher started it.
     Own(Child),
-    /// Another one did, so only the end can be seen and not its status.
+    /// Another launcher started it, so only the end can be seen and not its status.
     Adopted {
         pid: u32,
-        /// Tells when it has ended, even if the number was given to another one since.
+        /// Becomes readable at its end, even if the system has reused the number since.
         pidfd: OwnedFd,
     },
 }
 
-/// How a process has ended.
+/// End of a process.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(crate) struct End {
-    /// How it has ended, in words.
+pub struct End {
+    /// The way it ended, in words.
     pub how: String,
-    /// Whether its exit status says that another attempt is useless.
+    /// Whether its exit status means that another attempt is useless.
     pub is_hopeless: bool,
 }
 
 impl RunningProcess {
-    /// A living process that somebody else started.
+    /// A living process that another launcher started.
     pub(crate) fn adopt(pid: u32) -> io::Result<Self> {
         let number = Pid::from_raw(pid.cast_signed()).ok_or_else(|| {
             io::Error::new(io::ErrorKind::InvalidInput, "no process has number 0")
@@ -45,7 +45,7 @@ impl RunningProcess {
         }
     }
 
-    /// How it has ended; `None` while it runs.
+    /// Its end; `None` while it runs.
     pub(crate) fn end(&mut self) -> io::Result<Option<End>> {
         match self {
             Self::Own(child) => Ok(child.try_wait()?.map(End::of)),

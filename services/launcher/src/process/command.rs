@@ -1,4 +1,4 @@
-//! How a worker's process is started.
+//! Command line and environment of a worker's process.
 
 use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
@@ -16,13 +16,13 @@ use flockeye_runtime::scheduling;
 
 use crate::control::WorkerName;
 
-/// What the processes of one worker have in common.
+/// Common parameters of all processes of one worker.
 #[derive(Debug, Clone)]
 pub(super) struct StartPlan {
     /// Program and arguments.
     pub program: Vec<String>,
     pub folder: PathBuf,
-    /// Whether they fly on when the launcher dies.
+    /// Whether the processes fly on when the launcher dies.
     pub is_kept: bool,
     /// Scheduling and processors, as arguments of `exec-stage`.
     scheduling: Vec<String>,
@@ -43,12 +43,12 @@ impl StartPlan {
         })
     }
 
-    /// What starts a process of this generation. Where its output goes is the caller's.
+    /// Command of a process of this generation. The caller sets the destination of its output.
     pub(crate) fn command(&self, worker: WorkerName, generation: u32) -> Command {
-        // Not by its path: an update may have put another file there.
+        // This program, and not the file at its path: an update may have replaced that.
         let mut command = Command::new("/proc/self/exe");
         if std::env::var_os("XDG_RUNTIME_DIR").is_none() {
-            // Graphics drivers warn without one.
+            // Graphics drivers warn without this variable.
             command.env("XDG_RUNTIME_DIR", &self.folder);
         }
         command
@@ -88,7 +88,7 @@ pub(super) fn backoff([first_s, longest_s]: [f64; 2]) -> Backoff {
     Backoff::new(wait(first_s), wait(longest_s))
 }
 
-/// The arguments of `exec-stage` for how and on which processors a stage runs.
+/// Arguments of `exec-stage` for scheduling and processors of a stage.
 fn scheduling_arguments(stage: StageName, configuration: &StageProcess) -> Vec<String> {
     let nice = configuration.nice.unwrap_or(usual_nice(stage));
     let mut arguments = vec![format!("--nice={nice}")];

@@ -1,5 +1,5 @@
-//! Processes that fly on when their launcher dies (`up --keep`): what is left of them, and how a
-//! later launcher goes on with them.
+//! Processes that fly on when their launcher dies (`up --keep`): their leftovers, and how a later
+//! launcher takes them over.
 
 use std::fs::File;
 use std::time::Instant;
@@ -12,8 +12,8 @@ use super::output::KeptOutput;
 use super::{Condition, EndRequest, Process};
 
 impl Process {
-    /// Goes on where an earlier launcher was: with its program and its count of generations. It is
-    /// started at the next opportunity if it was not ended on demand.
+    /// Restores the program and the generation count of an earlier launcher. A process that was not
+    /// ended on request starts at the next opportunity.
     pub(crate) fn recall(&mut self) {
         self.condition = Condition::Waiting(Instant::now());
         let Some(memo) = Memo::read(&self.start.folder, self.worker) else { return };
@@ -25,8 +25,8 @@ impl Process {
         }
     }
 
-    /// Shows what a process of an earlier launcher has written before it ended, and removes what it
-    /// left.
+    /// Shows the output that a process of an earlier launcher wrote before its end, and removes its
+    /// leftovers.
     pub(crate) fn bury(&self, kept: &KeptProcess) {
         if let Ok(mut output) = KeptOutput::open(&kept.output(&self.start.folder)) {
             output.forward_rest(&self.lines).ok();
@@ -34,7 +34,7 @@ impl Process {
         kept.forget(&self.start.folder);
     }
 
-    /// Goes on with a living process that an earlier launcher has left.
+    /// Takes over a living process of an earlier launcher.
     pub(crate) fn adopt(&mut self, kept: &KeptProcess) {
         self.used_generations = self.used_generations.max(kept.generation);
         // It lived a moment ago. If it has ended since, it is started again.
@@ -47,7 +47,7 @@ impl Process {
         self.remember();
     }
 
-    /// Goes on with another living process of this worker, which does not count any more and is to
+    /// Takes over another living process of this worker, which does not count any more and must
     /// end.
     pub(crate) fn adopt_retired(&mut self, kept: &KeptProcess) -> Self {
         let mut retired = self.beside(kept.generation, &kept.command, "old");
@@ -57,8 +57,7 @@ impl Process {
         retired
     }
 
-    /// Notes for a later launcher what it cannot see for itself. What cannot be noted costs no more
-    /// than that.
+    /// Writes the memo for a later launcher. A failure costs only the memo.
     pub(super) fn remember(&self) {
         let memo = Memo {
             used_generations: self.used_generations,
@@ -97,7 +96,7 @@ impl Process {
             .ok()
     }
 
-    /// Passes on what a process that is kept has written.
+    /// Forwards the output of a kept process.
     pub(super) fn forward_kept_output(&mut self) {
         if let Some(output) = &mut self.kept_output
             && let Err(error) = output.forward(&self.lines)
@@ -107,7 +106,7 @@ impl Process {
         }
     }
 
-    /// Removes what a process that was kept has left behind.
+    /// Removes the leftovers of a kept process.
     pub(super) fn forget_kept(&mut self) {
         if let Some(mut output) = self.kept_output.take() {
             output.forward_rest(&self.lines).ok();

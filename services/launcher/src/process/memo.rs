@@ -1,5 +1,5 @@
-//! A memo of each worker for the launcher after this one, which cannot see all that it must know
-//! (`up --keep`).
+//! Memo of each worker for a later launcher, with the facts that it cannot read elsewhere (`up
+//! --keep`).
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -13,13 +13,13 @@ use crate::control::WorkerName;
 /// The memo of one worker, in a file of the instance's folder.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct Memo {
-    /// The highest generation that any of its processes has had.
+    /// The highest generation of any of its processes.
     pub used_generations: u32,
-    /// The generation of the process that counts where no hand-over says otherwise.
+    /// The generation of the process that counts unless a hand-over states otherwise.
     pub counting_generation: u32,
-    /// The program that is started anew.
+    /// The program of the next start.
     pub command: Vec<String>,
-    /// Whether the process was ended on demand.
+    /// Whether the process was ended on request.
     pub is_stopped: bool,
 }
 
@@ -28,7 +28,7 @@ fn file(folder: &Path, worker: WorkerName) -> PathBuf {
 }
 
 impl Memo {
-    /// Keeps it. A launcher that is killed meanwhile leaves the one before.
+    /// Writes the memo. A launcher that is killed meanwhile leaves the earlier memo.
     ///
     /// # Errors
     /// The file cannot be written.
@@ -38,7 +38,7 @@ impl Memo {
         write_whole(&file, &serde_json::to_vec(self)?)
     }
 
-    /// What was kept of a worker.
+    /// The memo of a worker.
     pub(crate) fn read(folder: &Path, worker: WorkerName) -> Option<Self> {
         serde_json::from_slice(&std::fs::read(file(folder, worker)).ok()?).ok()
     }

@@ -1,4 +1,4 @@
-//! What processes write, line by line.
+//! Output of processes, line by line.
 
 use std::fs::File;
 use std::io::{self, BufRead, BufReader, Read, Seek, SeekFrom};
@@ -14,11 +14,11 @@ use rustix::fs::{FallocateFlags, SeekFrom as FileOffset, fallocate, seek};
 pub struct LogLine {
     /// The stage, with the worker's number if there are several.
     pub stage: String,
-    /// What it wrote.
+    /// The line itself.
     pub text: String,
 }
 
-/// Where the lines of one process go, and under which name: a swap changes it.
+/// Destination of one process's lines, and their label, which a swap changes.
 #[derive(Clone)]
 pub(crate) struct LineSink {
     label: Arc<Mutex<String>>,
@@ -45,13 +45,13 @@ impl LineSink {
         *self.label.lock().unwrap_or_else(PoisonError::into_inner) = name;
     }
 
-    /// Passes on what a child writes.
+    /// Forwards the output of a child.
     pub(crate) fn forward_outputs(&self, child: &mut Child) {
         child.stdout.take().into_iter().for_each(|output| self.forward(output));
         child.stderr.take().into_iter().for_each(|output| self.forward(output));
     }
 
-    /// Passes a stream on, from a thread of its own that ends with the stream.
+    /// Forwards a stream, from a thread that ends with the stream.
     fn forward(&self, stream: impl Read + Send + 'static) {
         let sink = self.clone();
         std::thread::spawn(move || {
@@ -69,23 +69,23 @@ impl LineSink {
     }
 }
 
-/// Bytes that are read at once: the launcher has other things to look after.
+/// Maximum number of bytes read at once, so that the launcher is not held up.
 const MOST_AT_ONCE: u64 = 65_536;
 
-/// The output of a process that may outlive its launcher: a file. What was read of it takes no
-/// space on the disk any more.
+/// Output file of a process that may outlive its launcher. The part that was read takes no space on
+/// the disk.
 pub(crate) struct KeptOutput {
     file: File,
-    /// The last line as far as it is written.
+    /// Beginning of a line that is not complete yet.
     begun: Vec<u8>,
 }
 
 impl KeptOutput {
-    /// Reads the file from where the launcher before has ended. A line that it had read in part
-    /// lacks its beginning.
+    /// Continues where the launcher before ended. A partly read line lacks its beginning.
     pub(crate) fn open(path: &Path) -> io::Result<Self> {
         let mut file = File::options().read(true).write(true).open(path)?;
-        // What was read is a hole. Where the file system has none, lines are shown once more.
+        // The part that was read is a hole. Where the file system has no holes, lines are shown
+        // twice.
         match seek(&file, FileOffset::Data(0)) {
             Ok(_) => {}
             Err(rustix::io::Errno::NXIO) => drop(file.seek(SeekFrom::End(0))?),
@@ -94,7 +94,7 @@ impl KeptOutput {
         Ok(Self { file, begun: Vec::new() })
     }
 
-    /// Passes on what was written since, a part of it if that is much. False: nothing was.
+    /// Forwards the new output, at most [`MOST_AT_ONCE`] bytes of it. False: there was none.
     pub(crate) fn forward(&mut self, sink: &LineSink) -> io::Result<bool> {
         let from = self.file.stream_position()?;
         let length = (&self.file).take(MOST_AT_ONCE).read_to_end(&mut self.begun)? as u64;
@@ -107,7 +107,7 @@ impl KeptOutput {
         }
         let whole = self.begun.iter().rposition(|&byte| byte == b'\n').map_or(0, |end| end + 1);
         for line in self.begun[..whole].split_inclusive(|&byte| byte == b'\n') {
-            // The part of a block that was read before is full of zeros.
+            // Zeros fill the part of a block that was read before.
             let start = line.iter().position(|&byte| byte != 0).unwrap_or(line.len());
             sink.pass_on(&line[start..]);
         }
@@ -115,7 +115,7 @@ impl KeptOutput {
         Ok(true)
     }
 
-    /// Passes on what a process has left that has ended. The end of very long output is left out.
+    /// Forwards the remaining output of an ended process. The end of very long output is left out.
     pub(crate) fn forward_rest(&mut self, sink: &LineSink) -> io::Result<()> {
         for _ in 0..16 {
             if !self.forward(sink)? {

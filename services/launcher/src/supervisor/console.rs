@@ -1,4 +1,4 @@
-//! What a run shows: its lines, the live table, and its state for systemd.
+//! Display of a run: its lines, the live table, and its state for systemd.
 
 use std::sync::mpsc::Receiver;
 use std::time::{Duration, Instant};
@@ -10,14 +10,14 @@ use crate::dashboard::Dashboard;
 use crate::process::LogLine;
 use crate::service_manager::ServiceManager;
 
-/// How often a live table is drawn, and a line printed where there is no terminal.
+/// Periods of the live table, and of the printed line where there is no terminal.
 const TABLE_PERIOD: Duration = Duration::from_millis(200);
 const LINE_PERIOD: Duration = Duration::from_secs(1);
 
-/// Shows a run to people and to systemd.
+/// Shows a run to the user and to systemd.
 pub(super) struct Console<'a> {
     screen: &'a mut Screen,
-    /// What the processes write.
+    /// Log lines of the processes.
     log: Receiver<LogLine>,
     started: Instant,
     next_show: Instant,
@@ -43,7 +43,7 @@ impl<'a> Console<'a> {
         }
     }
 
-    /// Shows the dashboard, now and then.
+    /// Shows the dashboard, once in each period.
     pub(super) fn show(&mut self, dashboard: &Dashboard) {
         if Instant::now() < self.next_show {
             return;
@@ -53,8 +53,8 @@ impl<'a> Console<'a> {
             self.screen.table(&dashboard.table(now_ns));
             self.next_show = Instant::now() + TABLE_PERIOD;
         } else {
-            // Under systemd the newest line is the unit's status, and the journal need not keep
-            // them all.
+            // Under systemd the newest line is the unit's status, and the journal need not keep all
+            // lines.
             if self.service_manager.is_none() && dashboard.frames_ended > 0 {
                 self.screen.line(&dashboard.line(now_ns));
             }

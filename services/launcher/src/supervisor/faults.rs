@@ -13,18 +13,18 @@ use super::Supervisor;
 use crate::complaints::{MOST_REFUSED, MOST_SILENCES, rest_before_next};
 use crate::control::WorkerName;
 use crate::heartbeat::ProcessStat;
-use crate::process::{Condition, ProcessChange};
+use crate::process::{Condition, End, ProcessChange};
 
-/// A lossless run is not in real time: a single frame may take a stage longer than in flight.
+/// Factor on timeouts in a lossless run, where a frame may take a stage longer than in flight.
 const LOSSLESS_PATIENCE: f64 = 5.0;
-/// Drivers and networks are opened in the loop of the stages that own them, and may block it for a
-/// while: a camera that is plugged in again must not be killed for it.
+/// Factor on timeouts of stages that open drivers and networks in their loop, which may block it. A
+/// reconnected camera must not cause a kill.
 const DEVICE_PATIENCE: f64 = 15.0;
-/// A process that is younger than this and the time for an answer may be blamed for the one before
-/// it.
+/// Minimum age, added to the answer timeout, at which a process is responsible for complaints.
+/// Earlier ones may concern its predecessor.
 const YOUTH: Duration = Duration::from_millis(500);
 
-/// What still works without a stage.
+/// Functions that work without a stage.
 fn what_is_left(stage: StageName) -> &'static str {
     match stage {
         StageName::Capture | StageName::Simulator => "nothing: no frame comes any more",
@@ -51,7 +51,7 @@ impl Supervisor<'_> {
             let process = &mut self.workers.processes[index];
             let is_finished = process.worker.stage.is_source() && source_has_finished;
             let memory = &self.memory;
-            // The dead process's ports are freed before its successor asks for its own.
+            // The dead process's ports are freed before its successor opens new ones.
             let change = process.attend(is_finished, || memory.clean_up())?;
             self.report(index, change)?;
         }
@@ -73,9 +73,9 @@ impl Supervisor<'_> {
             ProcessChange::None => {}
             ProcessChange::Stopped => self.console.line(&format!("{label} has stopped")),
             ProcessChange::Restarted => self.console.line(&format!("{label} is started again")),
-            ProcessChange::Ended { how, is_hopeless, retry_in } => {
+            ProcessChange::Ended { end: End { how, is_hopeless }, retry_in } => {
                 if is_hopeless && process.generation == 0 {
-                    // Its last lines say why, and may not have arrived yet.
+                    // Its last lines state the reason, and may not have arrived yet.
                     std::thread::sleep(Duration::from_millis(50));
                     bail!("{label} cannot start; its reason is above");
                 }
@@ -94,7 +94,7 @@ impl Supervisor<'_> {
         Ok(())
     }
 
-    /// Gives a worker up. The flight goes on with what is left, if something was and is left.
+    /// Gives a worker up. The flight continues without it, if anything still works.
     fn give_up(&mut self, worker: WorkerName, why: &str) -> anyhow::Result<()> {
         if worker.stage.is_source() || self.messages.dashboard.frames_ended == 0 {
             bail!("{worker} {why}");
@@ -116,8 +116,7 @@ impl Supervisor<'_> {
         }
     }
 
-    /// Kills processes that have sent health before, and send none now although nothing keeps them
-    /// from it.
+    /// Kills processes that have stopped sending health although nothing keeps them from it.
     fn kill_those_that_hang(&mut self) {
         let flow_patience = match self.pipeline.flow() {
             Flow::Latest => 1.0,
@@ -138,7 +137,7 @@ impl Supervisor<'_> {
             let Some(pid) = process.pid() else { continue };
             let dashboard = &self.messages.dashboard;
             let Some(report) = dashboard.last_report(stage.name(), replica, pid) else { continue };
-            // What it opens at its start may take a while, and at its end it has a time of its own.
+            // A start may take a while, and an end has its own timeout.
             let works = matches!(
                 StageState::try_from(report.state),
                 Ok(StageState::Ready | StageState::Degraded | StageState::Finished)
@@ -160,7 +159,7 @@ impl Supervisor<'_> {
         }
     }
 
-    /// Names each process once that is not ready in time.
+    /// Reports each process once that is not ready in time.
     fn name_those_that_are_late(&mut self) {
         let start_time = self.start_time();
         for process in &mut self.workers.processes {
@@ -211,7 +210,7 @@ impl Supervisor<'_> {
             .iter_mut()
             .find(|process| is_meant(process.worker, process.pid()));
         let Some(process) = found.filter(|process| process.pid().is_some()) else {
-            // The launcher replaces the pipeline's own processes alone.
+            // The launcher replaces only the pipeline's own processes.
             if !is_silent && complaint.count <= 10 {
                 let pid = complaint.pid;
                 self.console.line(&format!("process {pid} sends bad messages ({detail}); refused"));
@@ -219,7 +218,7 @@ impl Supervisor<'_> {
             return;
         };
         let (label, pid) = (process.label(), process.pid().unwrap_or(0));
-        // Views and messages of the process before it do not count for this one.
+        // Views and messages of the predecessor do not count for this process.
         if process.age() < self.pipeline.view_overdue() + YOUTH {
             return;
         }
@@ -229,7 +228,7 @@ impl Supervisor<'_> {
                 true => format!("{detail}: it gets none until it answers"),
                 false => format!("{} messages refused ({detail})", complaint.count),
             };
-            // It is shown once; further complaints lead to a replacement.
+            // The first complaint is only shown; further ones lead to a replacement.
             if !std::mem::replace(&mut process.is_silent, true) {
                 self.console.line(&format!("{label} (process {pid}): {what}"));
             }

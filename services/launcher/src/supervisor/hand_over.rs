@@ -1,5 +1,5 @@
-//! The hand-over that all processes know: whose messages count. A copy is kept for the launcher
-//! after this one.
+//! The current hand-over, which selects the process that counts. A copy is kept for a later
+//! launcher.
 
 use std::path::{Path, PathBuf};
 
@@ -12,7 +12,7 @@ use flockeye_runtime::whole_file::write_whole;
 use crate::control::WorkerName;
 use crate::fault_point;
 
-/// Announces hand-overs, and knows the last one.
+/// Publisher of hand-overs, with the last one.
 pub(super) struct HandOverNotice {
     publisher: Publisher<HandOvers>,
     current: HandOver,
@@ -22,7 +22,7 @@ pub(super) struct HandOverNotice {
 }
 
 impl HandOverNotice {
-    /// Everybody counts, until something else is announced.
+    /// Starts without a hand-over: all processes count.
     pub(super) fn open(
         ports: &mut Ports,
         instance: &Instance,
@@ -37,7 +37,7 @@ impl HandOverNotice {
         self.publisher.update_connections()
     }
 
-    /// Says whose messages count, here and everywhere.
+    /// Publishes the hand-over to all processes.
     pub(super) fn announce(&mut self, ports: &Ports, hand_over: HandOver) -> anyhow::Result<()> {
         let step = match HandOverState::try_from(hand_over.state)? {
             HandOverState::TakenOver if hand_over.new_generation < hand_over.old_generation => {
@@ -48,7 +48,8 @@ impl HandOverNotice {
             HandOverState::Nothing => "the end",
         };
         self.current = hand_over;
-        // It is written before it is sent: sent twice, it does no harm.
+        // The copy is written before the message is sent: a hand-over that is sent twice does no
+        // harm.
         if self.is_kept
             && let Err(error) = write_whole(&file(&self.folder), bytemuck::bytes_of(&hand_over))
         {
@@ -71,13 +72,13 @@ fn file(folder: &Path) -> PathBuf {
     kept::folder(folder).join("hand_over")
 }
 
-/// The hand-over that an earlier launcher has announced last.
+/// The last hand-over of an earlier launcher.
 pub(super) fn read(folder: &Path) -> HandOver {
     let bytes = std::fs::read(file(folder)).unwrap_or_default();
     bytemuck::try_pod_read_unaligned(&bytes).unwrap_or_default()
 }
 
-/// The generation of a worker that counts, where the hand-over is about that worker.
+/// Generation of a worker that counts, if the hand-over is about that worker.
 pub(super) fn counting_generation(hand_over: &HandOver, worker: WorkerName) -> Option<u32> {
     if !hand_over.is_about(worker.stage, worker.replica) {
         return None;

@@ -1,5 +1,5 @@
-//! The recorder of a pipeline that records every flight (`recording` in pipeline.yaml): a process
-//! that looks on, so nothing waits for it once it has begun.
+//! Recorder of a pipeline that records every flight (`recording` in pipeline.yaml). It only
+//! subscribes, so nothing waits for it once it has begun.
 
 use std::os::unix::process::CommandExt;
 use std::path::Path;
@@ -17,15 +17,15 @@ use rustix::process::{Pid, Signal, kill_process};
 
 use crate::process::{LineSink, LogLine};
 
-/// How long it may take to write what waits, and the index.
+/// Timeout for writing the remaining messages and the index.
 const STOP_TIME: Duration = Duration::from_secs(10);
-/// Another file begins after so much. `flockeye record --split` takes another size.
+/// Size at which another file begins. `flockeye record --split` takes another size.
 const SPLIT: &str = "1000MB";
-/// The first and the longest wait before it is started again.
+/// First and longest wait before the next start.
 const BACKOFF: [Duration; 2] = [Duration::from_millis(100), Duration::from_secs(10)];
 
 pub(crate) struct Recorder {
-    /// Program and arguments before the file.
+    /// Program and arguments before the file's name.
     program: Vec<String>,
     folder: std::path::PathBuf,
     instance: Instance,
@@ -39,7 +39,7 @@ pub(crate) struct Recorder {
 }
 
 impl Recorder {
-    /// The recorder that is configured, if one is. It does not run yet.
+    /// The configured recorder, if there is one. It does not run yet.
     pub(crate) fn of(
         recording: &Recording,
         instance: &Instance,
@@ -65,7 +65,7 @@ impl Recorder {
     /// Starts it with a new file.
     pub(crate) fn start(&mut self) -> anyhow::Result<()> {
         let file = new_file(&self.folder, self.instance.name());
-        // Not by its path: an update may have put another file there.
+        // This program, and not the file at its path: an update may have replaced that.
         let mut command = Command::new("/proc/self/exe");
         command
             .args(["exec-stage", "--parent", &std::process::id().to_string(), "--"])
@@ -73,7 +73,7 @@ impl Recorder {
             .args(["--instance", self.instance.name(), "--"])
             .arg(&file)
             .stdin(Stdio::null())
-            // Ctrl-C in the terminal is the launcher's: the recorder ends last.
+            // The launcher handles Ctrl-C in the terminal: the recorder ends last.
             .process_group(0)
             .stdout(Stdio::piped())
             .stderr(Stdio::piped());
@@ -89,7 +89,7 @@ impl Recorder {
         recorders::has_joined(&self.instance, child.id())
     }
 
-    /// Starts it again if it has ended, after `clean` has freed what it had. Returns a line to be
+    /// Starts it again if it has ended, after `clean` has freed its ports. Returns a line to be
     /// shown.
     pub(crate) fn attend(&mut self, clean: impl FnOnce()) -> Option<String> {
         if self.retry_at.is_some_and(|at| Instant::now() >= at) {
@@ -104,7 +104,7 @@ impl Recorder {
         }
         let status = self.child.as_mut()?.try_wait().ok()??;
         self.child = None;
-        // This status says that trying again will not help.
+        // This status means that another attempt is useless.
         if status.code() == Some(2) {
             self.has_given_up = true;
             let what = "the recorder cannot record, and is not started again; its reason is above";
@@ -119,11 +119,11 @@ impl Recorder {
         Some(format!("the recorder has ended ({status}); it is started again in {wait_s:.1} s"))
     }
 
-    /// Lets it write what it has, and waits for its end. Returns a line to be shown.
+    /// Ends it after it has written all messages. Returns a line to be shown.
     pub(crate) fn stop(&mut self) -> Option<String> {
         self.retry_at = None;
         let mut child = self.child.take()?;
-        // One that has ended needs no signal.
+        // An ended process needs no signal.
         kill_process(Pid::from_child(&child), Signal::TERM).ok();
         let deadline = Instant::now() + STOP_TIME;
         while Instant::now() < deadline {
@@ -134,7 +134,7 @@ impl Recorder {
             }
             std::thread::sleep(Duration::from_millis(5));
         }
-        // It has ended, or it is not ours to end.
+        // It has ended, or this user may not end it.
         child.kill().ok();
         child.wait().ok();
         let cure = "Cure: `flockeye record --recover`, and a faster disk";
@@ -142,7 +142,7 @@ impl Recorder {
     }
 }
 
-/// The arguments of `flockeye record` that a configuration means.
+/// Arguments of `flockeye record` for a configuration.
 fn arguments(recording: &Recording) -> Vec<String> {
     let mut arguments = vec!["--frames".to_owned()];
     arguments.push(match recording.frames {
@@ -166,11 +166,11 @@ fn arguments(recording: &Recording) -> Vec<String> {
     arguments
 }
 
-/// A file that is not there yet: `INSTANCE-20260102T030405Z.mcap`.
+/// A new file name: `INSTANCE-20260102T030405Z.mcap`.
 fn new_file(folder: &Path, instance: &str) -> std::path::PathBuf {
     let names = dated::names(instance, SystemTime::now());
     let mut paths = names.map(|name| folder.join(format!("{name}.mcap")));
-    // There is always one more number.
+    // The numbers never end.
     paths.find(|path| !path.exists()).unwrap_or_else(|| folder.join("flight.mcap"))
 }
 

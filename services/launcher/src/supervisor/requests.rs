@@ -1,4 +1,4 @@
-//! Does what clients ask for by the control channel.
+//! Requests of clients over the control channel.
 
 use anyhow::ensure;
 use flockeye_contract::{StageName, StageState};
@@ -86,7 +86,7 @@ impl Supervisor<'_> {
         self.workers.of_mut(worker)
     }
 
-    /// Shows what has been done so far, and sends it to a client.
+    /// Shows the progress, and sends it to a client.
     pub(super) fn report_step(&mut self, client: ClientId, text: &str) {
         self.console.line(text);
         self.server.reply(client, &Reply::Progress(text.to_owned()));
@@ -129,7 +129,7 @@ impl Supervisor<'_> {
     }
 }
 
-/// A state as it is written in JSON.
+/// A state in the spelling of JSON.
 fn state_name(state: StageState) -> String {
     let name = serde_json::to_value(state).ok();
     name.as_ref().and_then(|name| name.as_str()).unwrap_or("unknown").to_owned()

@@ -9,20 +9,20 @@ use flockeye_runtime::memory::Budget;
 use flockeye_runtime::ports::{Ports, TopicServices, create_all_services};
 use iceoryx2::prelude::*;
 
-/// How long the cleaning up after dead processes may take.
+/// Timeout of the clean-up after dead processes.
 const CLEANUP_TIME: Duration = Duration::from_secs(1);
 
 /// All topics of a pipeline. Ports are dropped before it.
 pub(super) struct SharedMemory {
-    // Services go before the node.
+    // Services drop before the node.
     _services: Vec<TopicServices>,
     node: Rc<Node<ipc::Service>>,
-    /// How much memory each topic has.
+    /// Memory of each topic.
     pub budget: Budget,
 }
 
 impl SharedMemory {
-    /// Creates all topics, or opens those that a launcher has left whose stages fly on.
+    /// Creates all topics, or opens those of an earlier launcher whose stages fly on.
     pub(super) fn create(instance: &Instance, budget: Budget) -> anyhow::Result<Self> {
         let node = instance.create_node("launcher", "cannot open shared memory")?;
         // An earlier launcher may have been killed while its stages fly on.
@@ -31,7 +31,7 @@ impl SharedMemory {
         Ok(Self { _services: services, node, budget })
     }
 
-    /// Ports of the launcher, which counts nothing.
+    /// Ports of the launcher, whose messages are not counted.
     pub(super) fn ports(&self) -> Ports {
         Ports::new(self.node.clone(), self.budget.clone(), SharedCounters::default())
     }

@@ -1,4 +1,4 @@
-//! Replaces a process in flight: beside the old one where that can be, else after it has ended.
+//! Replaces a process in flight: beside the old one where possible, else after its end.
 
 use std::collections::BTreeSet;
 use std::time::{Duration, Instant};
@@ -15,15 +15,15 @@ use super::unfinished_swap::{self, UnfinishedSwap};
 use crate::control::server::ClientId;
 use crate::control::{Reply, SwapRequest, WorkerName};
 use crate::fault_point;
-use crate::process::{Condition, ProcessChange};
-use crate::swap::changeover::{Changeover, Successor, SwapOrder};
+use crate::process::{Condition, Process, ProcessChange};
+use crate::swap::changeover::{Changeover, SwapOrder};
 use crate::swap::judge::Judge;
 use crate::swap::replacement::{Replacement, ReplacementProgress};
 use crate::swap::shadow::{Shadow, can_shadow};
 use crate::swap::verdict::SwapVerdict;
 
 impl Supervisor<'_> {
-    /// Begins a swap, or changes nothing and says why it cannot be begun.
+    /// Begins a swap. An error means that nothing was changed.
     pub(super) fn begin_swap(
         &mut self,
         client: ClientId,
@@ -49,8 +49,8 @@ impl Supervisor<'_> {
         let order = SwapOrder { client, worker, pipeline_before };
         let refused = if can_shadow(worker.stage) {
             match self.begin_beside(client, request, ports) {
-                Ok(successor) => {
-                    self.changeover = Changeover::Beside(order, successor);
+                Ok((process, shadow, judge)) => {
+                    self.changeover = Changeover::Beside { order, process, shadow, judge };
                     return Ok(());
                 }
                 Err(error) => error,
@@ -69,7 +69,7 @@ impl Supervisor<'_> {
         Err(refused)
     }
 
-    /// Refuses a swap that cannot be done. Returns the configuration if the swap changes it.
+    /// Refuses an impossible swap. Returns the configuration if the swap changes it.
     fn check_swap(&self, request: &SwapRequest) -> anyhow::Result<Option<Resolved>> {
         let worker = request.worker;
         if let Some(other) = self.changeover.worker() {
@@ -101,7 +101,7 @@ impl Supervisor<'_> {
         client: ClientId,
         request: &SwapRequest,
         ports: &Ports,
-    ) -> anyhow::Result<Successor> {
+    ) -> anyhow::Result<(Process, Shadow, Judge)> {
         let worker = request.worker;
         let needed = self.memory.budget.bytes_of(worker.stage) as u64;
         let (free, _) = shared_memory_space().context("cannot look at /dev/shm")?;
@@ -119,7 +119,7 @@ impl Supervisor<'_> {
         let shadow = Shadow::open(worker, &mut self.memory.ports())?;
         let within = Duration::from_secs_f64(request.within_s);
         let judge = Judge::new(worker, generations, Instant::now(), within, request.accept_worse);
-        // The announcement comes first, so that readers ignore the new process.
+        // The announcement comes first, so that subscribers ignore the new process.
         self.hand_over.announce(ports, judge.begin())?;
         self.messages.beside = Some((worker, process.generation));
         if let Err(error) = process.start() {
@@ -129,10 +129,10 @@ impl Supervisor<'_> {
         fault_point::pass(self.instance.folder(), "it is started");
         let pid = process.pid().unwrap_or(0);
         self.report_step(client, &format!("{worker}: process {pid} works in the old one's shadow"));
-        Ok(Successor { process, shadow, judge })
+        Ok((process, shadow, judge))
     }
 
-    /// Asks the old process to end, so that the new one can have its device.
+    /// Requests the end of the old process, so that the new one can open its device.
     fn begin_in_turn(
         &mut self,
         client: ClientId,
@@ -165,7 +165,7 @@ impl Supervisor<'_> {
         if set.is_empty() {
             return Ok(None);
         }
-        // JSON is YAML.
+        // JSON is a subset of YAML.
         let text = serde_json::to_string(&self.pipeline).context("the configuration")?;
         let changed = Pipeline::parse(&text, set, "the running configuration")?;
         let (before, after) =
@@ -191,13 +191,13 @@ impl Supervisor<'_> {
         Ok(Some(resolved))
     }
 
-    /// Changes the configuration, and returns that of before.
+    /// Changes the configuration, and returns the former one.
     fn change_pipeline(&mut self, resolved: Resolved) -> anyhow::Result<Pipeline> {
         self.instance.write_configuration(&resolved)?;
         Ok(std::mem::replace(&mut self.pipeline, resolved.pipeline))
     }
 
-    /// Goes back to the configuration before a swap, if the swap has changed it.
+    /// Restores the configuration before a swap, if the swap has changed it.
     fn restore(&mut self, before: Option<Pipeline>) -> anyhow::Result<()> {
         if let Some(before) = before {
             self.change_pipeline(Resolved::of(before)?)?;
@@ -205,7 +205,7 @@ impl Supervisor<'_> {
         Ok(())
     }
 
-    /// Does what is to be done about a swap.
+    /// Performs the next step of a swap.
     pub(super) fn look_after_swap(&mut self, ports: &Ports) -> anyhow::Result<()> {
         let (client, worker, verdict) = match &mut self.changeover {
             Changeover::Nothing => return Ok(()),
@@ -228,10 +228,10 @@ impl Supervisor<'_> {
                 };
                 (order.client, order.worker, replacement.judge(&progress, Instant::now()))
             }
-            Changeover::Beside(order, Successor { process, shadow, judge }) => {
+            Changeover::Beside { order, process, shadow, judge } => {
                 shadow.receive(judge)?;
                 let new_ended = match process.attend(false, || {})? {
-                    ProcessChange::Ended { how, .. } => Some(how),
+                    ProcessChange::Ended { end, .. } => Some(end.how),
                     _ => (process.condition() != Condition::Running).then(|| "ended".to_owned()),
                 };
                 let old = self.workers.of(order.worker)?;
@@ -262,12 +262,12 @@ impl Supervisor<'_> {
         self.console.line(&text);
         let done = Reply::Done { text, report };
         match std::mem::take(&mut self.changeover) {
-            Changeover::Beside(order, successor) => {
+            Changeover::Beside { order, process: new, .. } => {
                 self.server.reply(order.client, &done);
                 let folder = self.instance.folder();
                 unfinished_swap::forget(folder);
                 let process = self.workers.of_mut(order.worker)?;
-                let mut old = successor.process.takes_the_place_of(process);
+                let mut old = new.takes_the_place_of(process);
                 fault_point::pass(folder, "it is swapped");
                 old.ask_to_stop();
                 fault_point::pass(folder, "the old one is asked to end");
@@ -287,13 +287,12 @@ impl Supervisor<'_> {
     /// The old process stays, or its program is started again.
     fn refuse_swap(&mut self, reason: &str) -> anyhow::Result<()> {
         match std::mem::take(&mut self.changeover) {
-            Changeover::Beside(order, successor) => {
-                // The last lines of the new process say why, and may not have arrived yet.
+            Changeover::Beside { order, mut process, .. } => {
+                // The last lines of the new process state the reason, and may not have arrived yet.
                 std::thread::sleep(Duration::from_millis(50));
                 self.console.show_log();
                 self.report_refusal(order.client, order.worker, reason);
                 let folder = self.instance.folder();
-                let mut process = successor.process;
                 fault_point::pass(folder, "it is refused");
                 process.ask_to_stop();
                 fault_point::pass(folder, "the new one is asked to end");
@@ -322,10 +321,10 @@ impl Supervisor<'_> {
         self.server.reply(client, &Reply::Failed(text));
     }
 
-    /// Ends a hand-over: once no other process of the worker is left, everybody counts.
+    /// Ends a hand-over: once no other process of the worker is left, all processes count.
     pub(super) fn end_hand_over(&mut self, ports: &Ports) -> anyhow::Result<()> {
-        let is_over =
-            !matches!(self.changeover, Changeover::Beside(..)) && self.workers.retired.is_empty();
+        let is_over = !matches!(self.changeover, Changeover::Beside { .. })
+            && self.workers.retired.is_empty();
         match is_over && self.hand_over.is_under_way() {
             true => self.hand_over.announce(ports, HandOver::default()),
             false => Ok(()),
@@ -333,7 +332,7 @@ impl Supervisor<'_> {
     }
 }
 
-/// The parts of the configuration that a stage reads and that a swap may change.
+/// Sections of the configuration that a stage reads and that a swap may change.
 fn own_keys(stage: StageName) -> &'static [&'static str] {
     match stage {
         StageName::Capture => &["source", "camera"],
@@ -349,7 +348,7 @@ fn own_keys(stage: StageName) -> &'static [&'static str] {
     }
 }
 
-/// Refuses a program that is not there or cannot be run, before anything is started.
+/// Refuses a missing or non-executable program before anything is started.
 fn check_program(program: &str) -> anyhow::Result<()> {
     use std::os::unix::fs::PermissionsExt;
     let is_program = |path: &std::path::Path| {

@@ -1,7 +1,7 @@
-//! Goes on with the processes that an earlier launcher left flying (`up --keep`).
+//! Takes over the processes that an earlier launcher left flying (`up --keep`).
 //!
-//! What a launcher knows and its successor cannot see for itself is in the folder `kept` of the
-//! instance: a record of each process ([`flockeye_runtime::kept`]), a memo of each worker
+//! The folder `kept` of the instance holds the facts that a new launcher cannot read elsewhere: a
+//! record of each process ([`flockeye_runtime::kept`]), a memo of each worker
 //! ([`crate::process::memo`]), the last hand-over ([`super::hand_over`]), and an unfinished swap
 //! ([`super::unfinished_swap`]).
 
@@ -11,8 +11,8 @@ use super::Supervisor;
 use super::hand_over::{self, counting_generation, has_taken_over};
 
 impl Supervisor<'_> {
-    /// Goes on with these processes. Where a worker has two, the one that counts by the last
-    /// hand-over stays, and the other one is ended.
+    /// Takes over these processes. Of two processes of a worker, the one that counts by the last
+    /// hand-over stays, and the other is ended.
     pub(crate) fn adopt(&mut self, kept: &[KeptProcess]) -> anyhow::Result<()> {
         if kept.is_empty() {
             return Ok(());
@@ -31,7 +31,7 @@ impl Supervisor<'_> {
             dead.into_iter().for_each(|kept| process.bury(kept));
             let counting = counting_generation(&hand_over, worker).unwrap_or(process.generation);
             let stays = living.iter().find(|kept| kept.generation == counting);
-            // After a take-over either of the two may go on alone; before it only the old one may.
+            // After a take-over either process may continue alone; before it only the old one may.
             let stays =
                 stays.or(living.last().filter(|_| has_taken_over(&hand_over, worker))).copied();
             if let Some(stays) = stays {
@@ -41,12 +41,12 @@ impl Supervisor<'_> {
             let others = living.into_iter().filter(|kept| Some(*kept) != stays);
             self.workers.retired.extend(others.map(|kept| process.adopt_retired(kept)));
         }
-        // The source too is started by itself, if it has ended meanwhile.
+        // The source also starts by itself, if it has ended meanwhile.
         self.source_started = Some(self.started);
         self.console.line(&format!("takes over {}", taken.join(", ")));
         match &self.ports {
-            // Processes that start from now on get it from this launcher. It is over when the
-            // retired processes have ended.
+            // Processes that start from now on receive the hand-over from this launcher. It ends
+            // when the retired processes have ended.
             Some(ports) => self.hand_over.announce(ports, hand_over),
             None => Ok(()),
         }

@@ -1,5 +1,4 @@
-//! A swap that is under way, kept for the launcher after this one: what to go back to if this one
-//! dies.
+//! An unfinished swap, kept for a later launcher, which restores the state before it.
 
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -24,9 +23,9 @@ use crate::swap::shadow::can_shadow;
 pub(super) struct UnfinishedSwap {
     pub worker: WorkerName,
     pub old_generation: u32,
-    /// The program before it.
+    /// The program before the swap.
     pub old_command: Vec<String>,
-    /// The configuration before it, where it changes that.
+    /// The configuration before the swap, if the swap changes it.
     pub pipeline: Option<Pipeline>,
 }
 
@@ -35,22 +34,22 @@ fn file(folder: &Path) -> PathBuf {
 }
 
 impl UnfinishedSwap {
-    /// Keeps it until [`forget`].
+    /// Writes the file, which stays until [`forget`].
     pub(crate) fn keep(&self, folder: &Path) -> anyhow::Result<()> {
         let file = file(folder);
         write_whole(&file, &serde_json::to_vec(self)?)
             .with_context(|| format!("{}", file.display()))
     }
 
-    /// Whether its new process is the one that stays.
+    /// Whether the new process stays.
     fn has_succeeded(&self, hand_over: &HandOver) -> bool {
-        // A process that owns a device was to show that it works, and no launcher has seen it.
+        // A process that owns a device had to prove that it works, and no launcher has seen that.
         can_shadow(self.worker.stage)
             && has_taken_over(hand_over, self.worker)
             && counting_generation(hand_over, self.worker) > Some(self.old_generation)
     }
 
-    /// Lets the old program be started, which owns its device again.
+    /// Restores the old program of a stage that owns its device, for the next start.
     fn put_back_program(&self, folder: &Path) -> anyhow::Result<()> {
         let is_new = |kept: &KeptProcess| {
             kept.stage == self.worker.stage.name()
@@ -59,7 +58,7 @@ impl UnfinishedSwap {
         };
         for new in kept::living(folder).iter().filter(|kept| is_new(kept)) {
             if let Some(pid) = i32::try_from(new.pid).ok().and_then(Pid::from_raw) {
-                // It may end by itself meanwhile.
+                // The process may end by itself meanwhile.
                 kill_process_group(pid, Signal::KILL).ok();
             }
             let start = Instant::now();
@@ -76,14 +75,13 @@ impl UnfinishedSwap {
     }
 }
 
-/// Removes what was kept: the swap is over.
+/// Removes the file: the swap is over.
 pub(super) fn forget(folder: &Path) {
     // Without a swap there is no file.
     drop(std::fs::remove_file(file(folder)));
 }
 
-/// Goes back to what was before a swap that was not over, unless its new process is the one that
-/// stays.
+/// Restores the state before an unfinished swap, unless its new process is the one that stays.
 pub(crate) fn undo(instance: &Instance) -> anyhow::Result<()> {
     let folder = instance.folder();
     let swap = std::fs::read(file(folder)).ok();

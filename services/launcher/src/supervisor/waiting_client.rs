@@ -1,4 +1,4 @@
-//! Clients that wait until a worker is as it was asked to be.
+//! Clients that wait until a worker reaches a requested condition.
 
 use std::time::{Duration, Instant};
 
@@ -6,10 +6,10 @@ use crate::control::server::ClientId;
 use crate::control::{Reply, WorkerName};
 use crate::process::{Condition, Process};
 
-/// A worker that has not come to what was asked for after this long is reported.
+/// Timeout after which the client gets an error.
 const PATIENCE: Duration = Duration::from_secs(20);
 
-/// A client that waits until a worker is as it was asked to be.
+/// A client that waits until a worker reaches a requested condition.
 pub(super) struct WaitingClient {
     pub client: ClientId,
     pub worker: WorkerName,
@@ -17,7 +17,7 @@ pub(super) struct WaitingClient {
     since: Instant,
 }
 
-/// How a worker was asked to be.
+/// Requested condition of a worker.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum WorkerGoal {
     Stopped,
@@ -31,8 +31,8 @@ impl WaitingClient {
         Self { client, worker, wanted, since: Instant::now() }
     }
 
-    /// The answer, if there is one by now. `is_ready` says whether the worker's process has
-    /// reported that it is ready.
+    /// The reply, if the condition is reached or the time is over. `is_ready`: the worker's process
+    /// has reported that it is ready.
     pub(super) fn answer(&self, process: &Process, is_ready: bool) -> Option<Reply> {
         let Self { worker, wanted, since, .. } = self;
         let (condition, generation) = (process.condition(), process.generation);
@@ -59,7 +59,7 @@ impl WaitingClient {
     }
 }
 
-/// What a process is doing, in words.
+/// Condition of a process, in words.
 pub(super) fn condition_name(condition: Condition) -> &'static str {
     match condition {
         Condition::New => "waits for the others",

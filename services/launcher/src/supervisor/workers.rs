@@ -15,22 +15,22 @@ use crate::process::{Condition, LogLine, Process, STOP_TIME};
 
 /// The processes of a pipeline's workers.
 pub(super) struct Workers {
-    /// One for each worker, the source last.
+    /// One process for each worker, the source last.
     pub processes: Vec<Process>,
     /// Processes that were replaced and have not ended.
     pub retired: Vec<Process>,
 }
 
 impl Workers {
-    /// The workers of `pipeline`, not yet started. Their lines go to `log`. With `is_kept` they fly
-    /// on when the launcher dies.
+    /// Creates the workers of `pipeline`, not yet started. Their lines go to `log`. With `is_kept`
+    /// they fly on when the launcher dies.
     pub(super) fn prepare(
         pipeline: &Pipeline,
         instance: &Instance,
         log: &SyncSender<LogLine>,
         is_kept: bool,
     ) -> anyhow::Result<Self> {
-        // Against the dataflow, so that a reader is there before what writes to it.
+        // Order against the dataflow, so that a subscriber exists before its publisher.
         let stages = StageName::ALL.into_iter().rev().filter(|stage| !stage.is_source());
         let workers = stages
             .filter(|&stage| pipeline.runs(stage))
@@ -60,7 +60,7 @@ impl Workers {
         self.processes.iter_mut().find(is_new).map_or(Ok(()), Process::start)
     }
 
-    /// The place of a worker in the list of processes.
+    /// Index of a worker in the list of processes.
     pub(super) fn index_of(&self, worker: WorkerName) -> anyhow::Result<usize> {
         let found = self.processes.iter().position(|process| process.worker == worker);
         found.with_context(|| {
@@ -84,7 +84,7 @@ impl Workers {
         self.processes.iter().any(|process| process.condition() == Condition::Stopped)
     }
 
-    /// Ends all processes, and those in `others`: asks first, then kills.
+    /// Ends all processes, and those in `others`: first by SIGTERM, then by SIGKILL.
     pub(super) fn stop<'p>(
         &'p mut self,
         others: impl IntoIterator<Item = &'p mut Process>,

@@ -1,4 +1,4 @@
-//! What a swap is doing.
+//! State of a swap.
 
 use flockeye_config::Pipeline;
 
@@ -9,14 +9,20 @@ use crate::control::WorkerName;
 use crate::control::server::ClientId;
 use crate::process::Process;
 
-/// What the launcher is doing about a swap. One worker at a time is swapped.
+/// State of the current swap. One worker at a time is swapped.
 #[derive(Default)]
 #[expect(clippy::large_enum_variant, reason = "a launcher has one")]
 pub(crate) enum Changeover {
     #[default]
     Nothing,
     /// The new process works beside the old one.
-    Beside(SwapOrder, Successor),
+    Beside {
+        order: SwapOrder,
+        process: Process,
+        /// Messages of both processes.
+        shadow: Shadow,
+        judge: Judge,
+    },
     /// The old process ends first, because the stage owns a device or a port.
     InTurn(SwapOrder, Replacement),
     /// The new process of a swap in turn has failed. The old program is to run again, in a
@@ -24,7 +30,7 @@ pub(crate) enum Changeover {
     PuttingBack(WorkerName, u32),
 }
 
-/// The client that asked for a swap, and what the swap changes.
+/// Client and worker of a swap, and the configuration before it.
 pub(crate) struct SwapOrder {
     pub client: ClientId,
     pub worker: WorkerName,
@@ -32,20 +38,11 @@ pub(crate) struct SwapOrder {
     pub pipeline_before: Option<Pipeline>,
 }
 
-/// A new process beside the old one.
-pub(crate) struct Successor {
-    pub process: Process,
-    /// What both processes send.
-    pub shadow: Shadow,
-    /// Decides what is to be done.
-    pub judge: Judge,
-}
-
 impl Changeover {
     /// The worker that is being swapped.
     pub(crate) fn worker(&self) -> Option<WorkerName> {
         match self {
-            Self::Beside(order, _) | Self::InTurn(order, _) => Some(order.worker),
+            Self::Beside { order, .. } | Self::InTurn(order, _) => Some(order.worker),
             Self::Nothing | Self::PuttingBack(..) => None,
         }
     }
@@ -53,7 +50,7 @@ impl Changeover {
     /// The new process that works beside the old one.
     pub(crate) fn new_process(&mut self) -> Option<&mut Process> {
         match self {
-            Self::Beside(_, successor) => Some(&mut successor.process),
+            Self::Beside { process, .. } => Some(process),
             _ => None,
         }
     }

@@ -1,4 +1,4 @@
-//! How the answers of two processes of one stage compare.
+//! Comparison of the answers of two processes of one stage.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
@@ -8,27 +8,28 @@ use flockeye_geometry::statistics::median;
 use nalgebra::Vector3;
 use serde::Serialize;
 
-/// The new process must answer something in this share of the frames in which the old one does. A
-/// machine that both share loses frames of both, and of a few frames one more or less is chance.
-/// How many views of a frame it answers does not count: the flow goes at the pace of the old
-/// process, and adapts.
+/// Minimum share of the old process's frames in which the new process must answer anything. Two
+/// processes on one machine both lose frames, and of a few frames one more or less is chance. The
+/// number of answered views in a frame does not count: the flow adapts to the old process.
 pub(crate) const LEAST_ANSWERED: f64 = 0.75;
-/// In what both answered, the new process must find this share of what the old one finds.
+/// Minimum share of the old process's findings that the new one must find in frames that both
+/// answered.
 pub(crate) const LEAST_FOUND: f64 = 0.75;
-/// A difference of fewer standard deviations is chance: the two look at views of their own, so what
-/// each finds is counted as two independent Poisson numbers.
+/// Number of standard deviations below which a difference is chance. Each process looks at its own
+/// views, so their findings are independent Poisson numbers.
 const CHANCE_DEVIATIONS: f64 = 2.0;
-/// Frames of the old process that are compared. More are compared while it has found less than
-/// [`LEAST_FOUND_BY_OLD`], or while what the new one misses may be chance.
+/// Number of compared frames of the old process. More are compared while it found less than
+/// [`LEAST_FOUND_BY_OLD`], or while missed frames may be chance.
 pub(crate) const FRAMES_COMPARED: usize = 10;
-/// If the old process found less, a new one that finds nothing could not be distinguished from it.
+/// Minimum findings of the old process. With fewer, a new process that finds nothing could not be
+/// distinguished from it.
 pub(crate) const LEAST_FOUND_BY_OLD: usize = 8;
-/// Answers to the newest frames may be on their way.
+/// Number of newest frames whose answers may still arrive.
 const FRAMES_UNSETTLED: usize = 2;
-/// The new process may lag by this many frames, because both share the processors. A frame that it
-/// has not reached yet does not count as unanswered. Its time is compared apart.
+/// Maximum lag of the new process in frames, because both share the processors. A frame that it has
+/// not reached does not count as unanswered. Its latency is compared apart.
 const FRAMES_BEHIND: usize = 15;
-/// Frames that are kept.
+/// Maximum number of kept frames.
 const MAX_FRAMES: usize = 256;
 
 /// An answer of one process.
@@ -37,11 +38,10 @@ pub(crate) struct StageAnswer {
     pub frame: FrameOrder,
     /// The part of the frame: a view, or always 0.
     pub part: u64,
-    /// What it found, by number, and where if that can be compared: markers' rays, targets'
+    /// Findings by number, with a position where it can be compared: markers' rays, targets'
     /// positions, the camera's rotation.
     pub found: Vec<(u32, Option<Vector3<f64>>)>,
-    /// How long it took, nanoseconds. `None`: this belongs to an answer that counts by another
-    /// message.
+    /// Latency of the answer, nanoseconds. `None`: another message counts as the answer.
     pub took_ns: Option<i64>,
 }
 
@@ -61,36 +61,36 @@ pub(crate) struct SwapComparison {
     new: Answers,
 }
 
-/// What the comparison of some frames gave.
+/// Result of comparing some frames.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub(crate) struct SwapFigures {
     /// Frames that the old process answered.
     pub frames: usize,
-    /// In how many of them the new process gave an answer that the old one gave too.
+    /// Frames among them in which the new process gave an answer that the old one also gave.
     pub frames_answered: usize,
     /// Answers of the old process to them.
     pub old_answers: usize,
-    /// How many of these the new process gave too.
+    /// Answers among these that the new process also gave.
     pub new_answers: usize,
-    /// What the old process found in what both answered.
+    /// Findings of the old process in the parts that both answered.
     pub old_found: usize,
-    /// What the new process found there.
+    /// Findings of the new process there.
     pub new_found: usize,
-    /// Median difference of what both found: metres, or radians.
+    /// Median difference of the common findings: metres, or radians.
     pub difference: Option<f64>,
-    /// Median time of the old process's answers, milliseconds.
+    /// Median latency of the old process, milliseconds.
     pub old_ms: f64,
-    /// Median time of the new process's answers, milliseconds.
+    /// Median latency of the new process, milliseconds.
     pub new_ms: f64,
 }
 
 impl SwapComparison {
-    /// Notes an answer of the process that is replaced.
+    /// Notes an answer of the process that is being replaced.
     pub(crate) fn note_old(&mut self, answer: StageAnswer) {
         note(&mut self.old, answer);
     }
 
-    /// Notes an answer of the process that takes its place.
+    /// Notes an answer of the new process.
     pub(crate) fn note_new(&mut self, answer: StageAnswer) {
         note(&mut self.new, answer);
     }
@@ -122,7 +122,8 @@ impl SwapComparison {
         }
     }
 
-    /// How many of these frames of the old process the new one has answered, or will never.
+    /// Number of these frames of the old process that the new one has answered, or will never
+    /// answer.
     fn settled(&self, frames: &[FrameOrder]) -> usize {
         let newest = self.new.last_key_value().map(|(frame, _)| *frame);
         let reached = frames.partition_point(|frame| Some(*frame) <= newest);
@@ -193,8 +194,8 @@ impl SwapFigures {
         self.old_found >= LEAST_FOUND_BY_OLD
     }
 
-    /// Whether fewer frames were answered than are wanted, but a process that answers just as many
-    /// may have missed these by chance: they are a binomial number.
+    /// Whether too few frames were answered, but possibly by chance. The number of missed frames is
+    /// binomial.
     pub(crate) fn misses_may_be_chance(&self) -> bool {
         let frames = self.frames as f64;
         let missing = LEAST_ANSWERED * frames - self.frames_answered as f64;
@@ -202,7 +203,7 @@ impl SwapFigures {
         missing > 0.0 && missing <= CHANCE_DEVIATIONS * deviation
     }
 
-    /// Why the new process is worse than the old one; `None` if it is not.
+    /// Reason why the new process is worse than the old one; `None` if it is not.
     pub(crate) fn shortcoming(&self) -> Option<String> {
         let share = |new: usize, old: usize| match old {
             0 => 1.0,

@@ -1,4 +1,5 @@
-//! Decides about a swap from the answers of both processes, whether both run, and the time alone.
+//! Decisions about a swap, from the answers of both processes, their running states and the time
+//! alone.
 
 use std::time::{Duration, Instant};
 
@@ -10,21 +11,22 @@ use super::comparison::{StageAnswer, SwapComparison, SwapFigures};
 use super::verdict::SwapVerdict;
 use crate::control::WorkerName;
 
-/// A new process takes over this many frames after the newest one: all processes know it by then.
+/// Number of frames after the newest one at which a new process takes over: all processes have the
+/// message by then.
 const FRAMES_AHEAD: u64 = 4;
-/// If no answer to the first frames after the hand-over comes for this long, the new process has
-/// failed. It has failed too if it still misses more frames than it may by then.
+/// Timeout of the probation. The new process has failed if it answered none of its first frames, or
+/// still misses too many.
 const PROBATION_TIME: Duration = Duration::from_secs(3);
-/// After a hand-over was taken back, the new process is ended when this has passed.
+/// Time after taking back a hand-over until the new process is ended.
 const TAKING_BACK_TIME: Duration = Duration::from_millis(500);
 
-/// Decides about one swap.
+/// State machine of one swap.
 #[derive(Debug, Clone)]
 pub(crate) struct Judge {
     pub worker: WorkerName,
     pub old_generation: u32,
     new_generation: u32,
-    /// What both have answered.
+    /// Answers of both processes.
     comparison: SwapComparison,
     phase: SwapPhase,
     began: Instant,
@@ -33,10 +35,10 @@ pub(crate) struct Judge {
     figures_in_shadow: Option<SwapFigures>,
 }
 
-/// How far a swap is.
+/// Phase of a swap.
 #[derive(Debug, Clone, PartialEq)]
 enum SwapPhase {
-    /// The new process answers, and nobody listens.
+    /// The new process answers, and no stage uses its answers.
     Shadow,
     /// It counts from `first` on.
     Probation { first: FrameOrder, until: Instant },
@@ -45,9 +47,9 @@ enum SwapPhase {
 }
 
 impl Judge {
-    /// Judges a swap of `worker` that begins at `now`, from the first generation to the second. The
-    /// new process has `within` to do as well as the old one, or to answer at all if it may do
-    /// worse.
+    /// Judges a swap of `worker` that begins at `now`, from the first generation to the second.
+    /// Within this time the new process must do as well as the old one. If `accept_worse`, it must
+    /// only answer.
     pub(crate) fn new(
         worker: WorkerName,
         [old_generation, new_generation]: [u32; 2],
@@ -102,8 +104,7 @@ impl Judge {
         self.hand_over(HandOverState::Shadow, FrameOrder::default(), generations)
     }
 
-    /// What is to be done now, given the answers of both, how the new process has ended if it has,
-    /// and whether the old one runs.
+    /// The next step, given how the new process has ended, if it has, and whether the old one runs.
     pub(crate) fn judge(
         &mut self,
         new_ended: Option<&str>,
@@ -137,8 +138,7 @@ impl Judge {
             );
         }
         let figures = self.comparison.figures(None);
-        // Where no neighbour is near, there may be nothing to find; then it is not waited for all
-        // the time.
+        // Without a near neighbour there may be nothing to find. Then half of the time suffices.
         let has_waited = now + (self.deadline - self.began) / 2 >= self.deadline;
         let shortcoming = match &figures {
             Some(figures) if !figures.is_conclusive() && !has_waited => return SwapVerdict::Wait,
@@ -221,7 +221,7 @@ impl Judge {
     }
 }
 
-/// Why the two cannot be compared.
+/// Reason why the two cannot be compared.
 fn nothing_to_compare(comparison: &SwapComparison) -> String {
     if comparison.has_begun() {
         "too few frames to compare".to_owned()

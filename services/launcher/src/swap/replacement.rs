@@ -1,4 +1,4 @@
-//! Decides about a swap in which the old process ends before the new one starts.
+//! Decisions about a swap in which the old process ends before the new one starts.
 
 use std::time::{Duration, Instant};
 
@@ -16,14 +16,14 @@ pub(crate) struct Replacement {
     pub old_command: Vec<String>,
     old_generation: u32,
     new_generation: u32,
-    /// When the old process was asked to end.
+    /// Time at which the end of the old process was requested.
     began: Instant,
     deadline: Instant,
     /// The newest frame before the swap.
     newest_before: Option<FrameOrder>,
 }
 
-/// What is known of a worker while its process is replaced.
+/// State of a worker while its process is replaced.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct ReplacementProgress {
     /// The generation of the worker's process.
@@ -58,7 +58,7 @@ impl Replacement {
         }
     }
 
-    /// What is to be done now.
+    /// The next step.
     pub(crate) fn judge(&self, progress: &ReplacementProgress, now: Instant) -> SwapVerdict {
         let is_new = progress.generation == self.new_generation;
         let has_failed = progress.generation > self.new_generation
@@ -80,7 +80,7 @@ impl Replacement {
         }
     }
 
-    /// Whether the new process does its work: a source gives frames, others are ready.
+    /// Whether the new process works: a source publishes frames, others are ready.
     fn works(&self, progress: &ReplacementProgress) -> bool {
         if !self.worker.stage.is_source() {
             return progress.is_ready;

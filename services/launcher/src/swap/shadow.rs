@@ -1,4 +1,4 @@
-//! What both processes of a stage send while one works in the other's shadow.
+//! Messages of both processes of a stage while one works in the other's shadow.
 
 use anyhow::ensure;
 use flockeye_contract::{
@@ -13,16 +13,16 @@ use super::comparison::StageAnswer;
 use super::judge::Judge;
 use crate::control::WorkerName;
 
-/// The topics by which the answers of the old and the new process are read.
+/// Subscribers for the answers of the old and the new process.
 pub(crate) enum Shadow {
     Detections(Subscriber<Detections>),
-    /// Ends of frames, and what was found in the views.
+    /// Ends of frames, and findings in the views.
     Views(Subscriber<FrameEnds>, Subscriber<Detections>),
     Rotations(Subscriber<Rotations>),
     Tracks(Subscriber<Tracks>),
 }
 
-/// Whether two processes of a stage can work side by side: those that own no device and no port.
+/// Whether two processes of a stage can work side by side: stages that own no device and no port.
 pub fn can_shadow(stage: StageName) -> bool {
     matches!(
         stage,
@@ -31,7 +31,7 @@ pub fn can_shadow(stage: StageName) -> bool {
 }
 
 impl Shadow {
-    /// Listens to both processes of a worker by `ports`, which must admit everybody.
+    /// Subscribes to both processes of a worker by `ports`, which must admit all processes.
     pub(crate) fn open(worker: WorkerName, ports: &mut Ports) -> anyhow::Result<Self> {
         ensure!(can_shadow(worker.stage), "{worker} cannot run twice at once");
         Ok(match worker.stage {
@@ -42,7 +42,7 @@ impl Shadow {
         })
     }
 
-    /// Passes what has come on to the judge of the swap.
+    /// Passes all waiting messages to the judge of the swap.
     pub(crate) fn receive(&mut self, judge: &mut Judge) -> anyhow::Result<()> {
         match self {
             Self::Detections(detections) => {
@@ -55,8 +55,8 @@ impl Shadow {
             }
             Self::Views(frame_ends, detections) => {
                 while let Some(message) = detections.receive()? {
-                    // The two cut views of their own, and how many is a matter of time left: what
-                    // counts is whether anything is found in the frame.
+                    // Each process cuts its own views, and their number depends on the time left.
+                    // Only a finding anywhere in the frame counts.
                     let mut answer = StageAnswer { took_ns: None, ..searched(&message, 0) };
                     answer.found.truncate(1);
                     answer.found.iter_mut().for_each(|found| *found = (0, None));
@@ -76,7 +76,8 @@ impl Shadow {
                 while let Some(message) = rotations.receive()? {
                     let rotation = &message.header;
                     let is_known = rotation.source != RotationSource::Nothing.code();
-                    // Twice the vector part is the rotation vector, as good as the angle is small.
+                    // Twice the vector part is the rotation vector, to first order for small
+                    // angles.
                     let [x, y, z, w] = rotation.later_from_earlier;
                     let turned = Vector3::new(x, y, z) * (2.0 * w.signum());
                     let found = is_known.then_some((0, Some(turned))).into_iter().collect();
@@ -118,8 +119,8 @@ fn searched(message: &Message<Detections>, part: u64) -> StageAnswer {
     }
 }
 
-/// A view's number in its frame. Fusion may plan anew and rectification cut again, so the index
-/// alone is not enough.
+/// Number of a view in its frame. Fusion may plan anew and rectification may cut again, so the
+/// index alone is not enough.
 fn view_number(header: &DetectionHeader) -> u64 {
     (u64::from(header.view_generation) << 40)
         | (u64::from(header.attempt) << 16)

@@ -1,11 +1,11 @@
-//! What is to be done about a swap.
+//! Next step of a swap.
 
 use flockeye_contract::HandOver;
 
-/// What is to be done about a swap.
+/// Next step of a swap.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) enum SwapVerdict {
-    /// Nothing yet.
+    /// No step yet.
     Wait,
     TakeOver(HandOver, String),
     /// The new process failed after it took over: the old one counts again.

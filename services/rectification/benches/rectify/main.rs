@@ -1,5 +1,5 @@
-//! What views cost: our back ends, and OpenCV's remap with maps prepared beforehand, which a view
-//! that moves cannot have, or built each time. Ends with a table of ratios.
+//! Benchmarks of views: our back ends, and OpenCV's remap with maps built before or in each call.
+//! Moving views need new maps each time. The output ends with a table of ratios.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used)]
 
 mod maps;
@@ -68,7 +68,7 @@ criterion_group!(benches, processor, graphics);
 fn main() {
     benches();
     Criterion::default().configure_from_args().final_summary();
-    // `cargo test` runs each benchmark once, without this word.
+    // `cargo test` runs each benchmark once, without this argument.
     if std::env::args().any(|argument| argument == "--bench") {
         ratios::print();
     }

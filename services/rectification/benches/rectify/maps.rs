@@ -1,5 +1,5 @@
-//! What a good user of OpenCV would write: the map of a view in single precision, in plain loops
-//! over rows with all that does not change taken out of them, and `cv::remap`.
+//! Good use of OpenCV: `cv::remap` with the map of a view in single precision. Plain loops over
+//! rows fill the map, with all invariants hoisted.
 
 use flockeye_geometry::camera::{Camera, CameraModel, LensCurve, Stereographic};
 use flockeye_geometry::view::View;
@@ -8,7 +8,7 @@ use opencv::core::{self, CV_16SC2, CV_32FC1, Mat, Scalar};
 use opencv::imgproc;
 use opencv::prelude::*;
 
-/// The map of a view: columns and rows of the sphere image.
+/// The map of a view: columns and rows of the equirectangular image.
 pub struct Maps {
     pub columns: Mat,
     pub rows: Mat,
@@ -20,7 +20,7 @@ pub struct FixedMaps {
     fraction: Mat,
 }
 
-/// What lies outside of every image.
+/// Coordinate outside any image.
 const OUTSIDE: (f32, f32) = (-1e4, -1e4);
 
 impl Maps {
@@ -48,7 +48,7 @@ impl Maps {
                 });
             }
             CameraModel::DualFisheye(lenses) => {
-                // Without the lenses' offset, which is less work than ours does.
+                // Without the lenses' offset: less work than in our back ends.
                 let lenses = lenses.each_ref().map(|lens| {
                     let LensCurve::Equidistant(k) = lens.curve else {
                         panic!("the scene's lenses are polynomials")

@@ -1,7 +1,7 @@
-//! Ours against OpenCV's, measured by turns in one run.
+//! Ratios of our times to OpenCV's, measured in turns in one run.
 //!
-//! What one thread does is measured in its own processor time: on a busy machine, work that takes
-//! longer than a slice of the scheduler's is interrupted, and shorter work seldom is.
+//! Single-threaded work is measured in the thread's processor time. On a busy machine the scheduler
+//! interrupts long work, but rarely short work.
 
 use std::hint::black_box;
 use std::time::Duration;
@@ -22,10 +22,10 @@ use crate::scene::{
     Scene, buffer, dual_fisheye, equirectangular, partition, region, stereographic,
 };
 
-/// Turns of each row; medians of them are compared.
+/// Turns of each row; their medians are compared.
 const ROUNDS: u32 = 41;
 
-/// Measures all and prints the table.
+/// Runs all measurements and prints the table.
 pub fn print() {
     core::set_num_threads(1).unwrap();
     println!(
@@ -125,7 +125,7 @@ fn graphics() {
     let is_software = found.is_software();
     let device = found.description();
     let mut gpu = GpuRectifier::open(found).unwrap();
-    // A software device takes all processors; a real one is fed by one thread.
+    // A software device uses all processors; a real one needs one thread.
     let threads =
         if is_software { std::thread::available_parallelism().map_or(1, usize::from) } else { 1 };
     let scene = Scene::of(equirectangular());
@@ -156,7 +156,7 @@ fn compare(name: &str, ours: impl FnMut(u32), theirs: impl FnMut(u32)) {
     compare_by(ClockId::ThreadCPUTime, name, ours, theirs);
 }
 
-/// Prints a row: `name` says what ours does; what theirs does.
+/// Prints a row; `name` describes our work and OpenCV's.
 fn compare_by(clock: ClockId, name: &str, mut ours: impl FnMut(u32), mut theirs: impl FnMut(u32)) {
     let mut times = [Vec::new(), Vec::new()];
     let now = || Duration::try_from(clock_gettime(clock)).unwrap();
@@ -165,7 +165,7 @@ fn compare_by(clock: ClockId, name: &str, mut ours: impl FnMut(u32), mut theirs:
         work(black_box(round));
         now() - start
     };
-    // The first turn, which touches everything for the first time, does not count.
+    // The first turn is a warm-up and is not counted.
     for round in 0..=ROUNDS {
         let took = [time(&mut ours, round), time(&mut theirs, round)];
         if round > 0 {

@@ -14,7 +14,7 @@ pub struct Scene {
 }
 
 impl Scene {
-    /// Texture at every scale, so that no row is like the next.
+    /// Texture at every scale, so that adjacent rows differ.
     pub fn of(camera: Camera) -> Self {
         let pixels = (0..camera.width() * camera.height()).map(|k| {
             let (x, y) = (k % camera.width(), k / camera.width());
@@ -76,13 +76,13 @@ pub fn look(direction: Vector3<f64>, field_deg: f64, size_px: u32) -> View {
     View::looking_at(&Unit::new_normalize(direction), field_deg.to_radians(), size_px)
 }
 
-/// A view of 20 degrees and 400 px that moves with each frame, about the axis of the first lens.
+/// A view of 20 degrees and 400 px near the axis of the first lens, which moves with each frame.
 pub fn region(frame: u32) -> View {
     let azimuth = f64::from(frame % 100) * 0.01 - 0.5;
     look(Vector3::new(azimuth.cos(), azimuth.sin(), 0.2), 20.0, 400)
 }
 
-/// The vertices of an icosahedron, about which twelve circles cover the sphere best.
+/// The vertices of an icosahedron: centres of the best cover of the sphere by twelve circles.
 pub fn partition() -> Vec<View> {
     let golden = (1.0 + 5f64.sqrt()) / 2.0;
     let mut directions = Vec::new();

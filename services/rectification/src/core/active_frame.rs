@@ -1,4 +1,4 @@
-//! A frame that rectification works on.
+//! An active frame of rectification.
 
 use std::collections::BTreeSet;
 
@@ -15,26 +15,26 @@ use crate::job::FrameJob;
 /// A frame whose views are being cut, or that waits for the answers to them.
 #[derive(Debug)]
 pub(crate) struct ActiveFrame<F> {
-    /// The owner of its pixels.
+    /// Owner of the pixels.
     pub(crate) pixels: F,
-    /// Its views.
+    /// Views of the frame, and their state.
     pub(crate) job: FrameJob,
-    /// Views that were announced to the back end.
+    /// Indices of the views announced to the back end.
     announced: BTreeSet<u32>,
 }
 
 impl<F> ActiveFrame<F> {
-    /// A frame of which nothing was cut.
+    /// A frame before its first cut.
     pub(crate) fn new(job: FrameJob, pixels: F) -> Self {
         Self { pixels, job, announced: BTreeSet::new() }
     }
 
-    /// The frame's place in the order of frames.
+    /// Key of the frame in the order of frames.
     pub(crate) fn order(&self) -> FrameOrder {
         self.job.frame.stamp.order()
     }
 
-    /// The cuts of those of `views` that were not announced yet. All are announced then.
+    /// Marks `views` as announced. Returns the cuts of the views that were not announced before.
     pub(crate) fn announce(
         &mut self,
         views: impl IntoIterator<Item = u32>,
@@ -51,7 +51,7 @@ impl<F> ActiveFrame<F> {
         cuts
     }
 
-    /// The order to cut a view, for no worker yet. `None` for a view that is not in the plan.
+    /// The order to cut a view, without a worker. `None` for a view that is not in the plan.
     pub(crate) fn cut_order(&mut self, view_index: u32, camera: &Camera) -> Option<CutOrder> {
         let (view, planned) = self.job.view(view_index)?;
         let ahead = match self.announced.contains(&view_index) {
@@ -87,8 +87,8 @@ impl<F> ActiveFrame<F> {
     }
 }
 
-/// How a planned view is cut: exactly at the distance at which its neighbour is expected (without
-/// one, the camera's assumed distance), and interpolated as its magnification asks for.
+/// The cut of a planned view: exact at its neighbour's predicted distance, or at the camera's
+/// assumed distance. Its interpolation depends on the magnification.
 fn cut_of(view: View, planned: &PlannedView, camera: &Camera) -> Cut {
     let distance_m = match planned.has_prediction {
         0 => camera.distance_m(),

@@ -1,4 +1,4 @@
-//! What goes into the core of rectification, and what comes out.
+//! Events and actions of the core of rectification.
 
 use flockeye_contract::{
     DetectionHeader, FrameEnd, FrameHeader, FrameOrder, PlanHeader, PlannedView, ViewHeader,
@@ -8,42 +8,42 @@ use flockeye_imaging::sphere::Cut;
 
 use crate::proposals::ProposalSearch;
 
-/// What happens to rectification.
+/// An input of the core.
 #[expect(missing_docs, reason = "the variants say what the fields are")]
 #[derive(Debug)]
 pub enum Event<F> {
-    /// A frame has come; `F` owns its pixels.
+    /// A frame was received; `F` owns its pixels.
     Frame(FrameHeader, F),
-    /// A plan has come.
+    /// A plan was received.
     Plan(PlanHeader, Vec<PlannedView>),
     /// A worker has searched a view.
     Answer(DetectionHeader),
-    /// Places that look like a body were searched in a frame.
+    /// The proposal search in a frame is done.
     Looked { frame: FrameOrder, found: Vec<Proposal>, took_ns: i64 },
     /// A view was cut and published.
     Published { header: ViewHeader, took_ns: i64 },
-    /// The last action on a frame was impossible. No further view of it is cut.
+    /// The last action on a frame has failed. No further view of it is cut.
     Failed(FrameOrder),
 }
 
-/// What is to be done.
+/// An action for the shell.
 #[derive(Debug, Clone, PartialEq)]
 #[expect(missing_docs, reason = "the variants say what the fields are")]
 #[expect(clippy::large_enum_variant, reason = "one at a time, on the stack")]
 pub enum Action {
-    /// Work on a frame begins. The back end may make these cuts ahead.
+    /// Begin the work on a frame. The back end may make these cuts ahead.
     TakeUp {
         frame: FrameOrder,
         /// The views that will probably be cut.
         likely: Vec<Cut>,
     },
-    /// Search a frame for places that look like a body.
+    /// Search a frame for proposals.
     Look { frame: FrameOrder, search: ProposalSearch },
     /// Cut a view and publish it.
     Cut(CutOrder),
     /// Publish the end of a frame.
     End(FrameEnd),
-    /// Nothing, until an event comes, or by then, nanoseconds.
+    /// Wait for an event, or until this time, nanoseconds.
     Wait(Option<i64>),
 }
 
@@ -54,7 +54,7 @@ pub struct CutOrder {
     pub header: ViewHeader,
     /// The cut.
     pub cut: Cut,
-    /// Cuts that the back end may make together with this one. They were never announced before.
+    /// Cuts that the back end may make together with this one; none was announced before.
     pub ahead: Vec<Cut>,
 }
 

@@ -15,10 +15,11 @@ fn core(flow: Flow, clock: FrameClock, workers: usize) -> Core<()> {
     let views = Partition::icosahedron().views(0.1, 600.0).unwrap();
     let camera = Camera::equirectangular(3840, 1920);
     let overdue = Duration::from_millis(500);
-    let options = Options { flow, generation: 3, workers, window: 2, overdue, camera };
     let resolved = Resolved::of(Pipeline::parse("", &[], "a test").unwrap()).unwrap();
-    let proposals = ProposalChooser::of(&resolved).unwrap();
-    Core::new(options, clock, (0..).zip(views).collect(), proposals, 0)
+    let dispatcher = Dispatcher::new(workers, 2, overdue / 2);
+    let tiles = (0..).zip(views).collect();
+    let usual = Core::of(&resolved, 3, 0).unwrap();
+    Core { flow, workers, overdue, camera, clock, dispatcher, tiles, ..usual }
 }
 
 fn flying(workers: usize) -> Core<()> {

@@ -1,30 +1,30 @@
-//! Which graphics processor works.
+//! Choice of the graphics processor.
 
 use wgpu::{DeviceType, Features};
 
 use crate::rectifier::RectifyError;
 
-/// Whose memory the shader works in.
+/// Kind of memory for the shader's buffers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Memory {
-    /// The processor's: what either writes the other reads in place.
+    /// Host memory: CPU and GPU access it in place.
     Shared,
-    /// The device's own: what it reads or writes is copied to or from memory that both see.
+    /// Device memory: data is copied through staging buffers.
     Apart,
 }
 
-/// A Vulkan device that was found, not yet opened.
+/// A Vulkan device before it is opened.
 #[derive(Debug)]
 pub struct FoundAdapter {
     pub(super) adapter: wgpu::Adapter,
     info: wgpu::AdapterInfo,
-    /// How many were there.
+    /// Number of other devices.
     others: usize,
 }
 
 impl FoundAdapter {
-    /// The best Vulkan device of this machine: a discrete graphics processor before an integrated,
-    /// a virtual and an unknown one, software last.
+    /// The best Vulkan device of this machine. Order: discrete, integrated, virtual and unknown
+    /// graphics processors, then software.
     pub fn best() -> Result<Self, RectifyError> {
         let mut descriptor = wgpu::InstanceDescriptor::new_without_display_handle();
         descriptor.backends = wgpu::Backends::VULKAN;
@@ -37,17 +37,17 @@ impl FoundAdapter {
         Ok(Self { info: adapter.get_info(), adapter, others })
     }
 
-    /// The device's name, as its driver gives it.
+    /// Name of the device, from its driver.
     pub(crate) fn name(&self) -> &str {
         &self.info.name
     }
 
-    /// Whether the device is a program on the processor that imitates a graphics processor.
+    /// Whether the device is a software implementation on the CPU.
     pub fn is_software(&self) -> bool {
         self.info.device_type == DeviceType::Cpu
     }
 
-    /// Whose memory its shader works in best: the processor's, where it has none of its own.
+    /// Best kind of memory for the shader: host memory, if the device has none of its own.
     pub(super) fn memory(&self) -> Memory {
         let is_shared =
             matches!(self.info.device_type, DeviceType::IntegratedGpu | DeviceType::Cpu);
@@ -58,7 +58,7 @@ impl FoundAdapter {
         }
     }
 
-    /// What it is and why it was chosen, for the log.
+    /// Description of the device and the reason of the choice, for the log.
     pub fn description(&self) -> String {
         let kind = kind_name(self.info.device_type);
         let why = match self.others {

@@ -1,4 +1,4 @@
-//! Views of a frame that are cut together.
+//! A batch of views of a frame that are cut together.
 
 use flockeye_geometry::camera::Camera;
 use flockeye_imaging::sphere::Cut;
@@ -9,21 +9,21 @@ use super::device::{Device, Mapped};
 use super::layout::{BatchLayout, ViewParameters};
 use crate::rectifier::RectifyError;
 
-/// Views of a frame, and the buffers they are cut with, which outlive them.
+/// Views of a frame, and their buffers, which are reused for later frames.
 #[derive(Debug)]
 pub(super) struct Batch {
     pub(super) cuts: Vec<Cut>,
     layout: BatchLayout,
     views: Buffer,
     output: Buffer,
-    /// Where the output is copied to, if it cannot be read in place.
+    /// Buffer to which the output is copied, if it cannot be read in place.
     readback: Option<Buffer>,
-    /// `None` where a buffer has been replaced since it was bound.
+    /// `None` if a buffer has been replaced since it was bound.
     pub(super) bind_group: Option<BindGroup>,
     result: CutOutput,
 }
 
-/// What has become of the output.
+/// State of the output.
 #[derive(Debug)]
 enum CutOutput {
     None,
@@ -53,11 +53,11 @@ impl Batch {
         }
     }
 
-    /// Forgets its views.
+    /// Removes all views.
     pub(super) fn clear(&mut self) {
         self.cuts.clear();
         self.layout = BatchLayout::default();
-        // The view of the memory goes before the memory, whether it is mapped or only awaited.
+        // The mapped view must be dropped before the buffer is unmapped.
         match std::mem::replace(&mut self.result, CutOutput::None) {
             CutOutput::None => return,
             CutOutput::Awaited { .. } => {}
@@ -70,8 +70,7 @@ impl Batch {
         self.readback.as_ref().unwrap_or(&self.output)
     }
 
-    /// Takes as many of `cuts` as one output has room for, and returns how many; the batch is
-    /// empty.
+    /// Fills an empty batch with as many of `cuts` as fit into one output. Returns their number.
     pub(super) fn fill(
         &mut self,
         device: &Device,
@@ -87,8 +86,8 @@ impl Batch {
         Ok(fitting)
     }
 
-    /// Has its views cut from the frame in `sphere` and `luma`, of a camera like `camera`. They are
-    /// not waited for.
+    /// Submits the cuts of its views from the frame in `sphere` and `luma`, of this camera. Does
+    /// not wait for them.
     pub(super) fn submit(
         &mut self,
         device: &Device,
@@ -131,7 +130,7 @@ impl Batch {
         work
     }
 
-    /// Copies a view out, once it is there.
+    /// Waits for a view, and copies it to `out`.
     pub(super) fn copy_out(
         &mut self,
         device: &Device,

@@ -1,4 +1,4 @@
-//! The opened device: its queue, its limits, and whether it still works.
+//! The opened device: its queue, its limits and its failure state.
 
 use std::sync::{Arc, Mutex, mpsc};
 use std::time::Duration;
@@ -10,7 +10,7 @@ use super::adapter::{FoundAdapter, Memory};
 use super::shader::Shader;
 use crate::rectifier::RectifyError;
 
-/// Work that takes longer than this is not waited for: the device hangs.
+/// Timeout of submitted work: after it the device counts as hung.
 const TIMEOUT: Duration = Duration::from_secs(5);
 
 /// An opened device with its shader.
@@ -21,23 +21,24 @@ pub(super) struct Device {
     pub device: wgpu::Device,
     pub queue: wgpu::Queue,
     pub shader: Shader,
-    /// Bytes that one buffer of the shader may have.
+    /// Maximum size of a buffer of the shader, bytes.
     pub max_bytes: u64,
-    /// The driver's first message when something went wrong.
+    /// First error message of the driver.
     failure: Arc<Mutex<Option<String>>>,
 }
 
-/// Tells whether a buffer has been mapped.
+/// Receiver of the result of a buffer mapping.
 pub(super) type Mapped = mpsc::Receiver<Result<(), BufferAsyncError>>;
 
 impl Device {
-    /// Opens the device and builds the shader, for `memory`, or for the device's best.
+    /// Opens the device and builds the shader, for `memory`, or for the device's best kind of
+    /// memory.
     pub(super) fn open(found: &FoundAdapter, memory: Option<Memory>) -> Result<Self, RectifyError> {
         let name = found.name().to_owned();
         let refused = |reason: String| RectifyError::Device { adapter: name.clone(), reason };
         let memory = memory.unwrap_or_else(|| found.memory());
         let offered = found.adapter.limits();
-        // What every device has, but buffers as large as this one can have them.
+        // Minimum limits of all devices, but this device's maximum buffer sizes.
         let required_limits = Limits {
             max_storage_buffer_binding_size: offered.max_storage_buffer_binding_size,
             max_buffer_size: offered.max_buffer_size,
@@ -69,7 +70,7 @@ impl Device {
 
         let shader = Shader::new(&device);
         let limits = device.limits();
-        // Buffers are of whole words.
+        // Round down to whole words.
         let max_bytes = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size) & !3;
         let opened = Self { name: name.clone(), memory, device, queue, shader, max_bytes, failure };
         match opened.failure() {
@@ -82,12 +83,12 @@ impl Device {
         lock(&self.failure).clone()
     }
 
-    /// Fails if anything has gone wrong on the device so far.
+    /// Fails if the device has failed.
     pub(super) fn check_alive(&self) -> Result<(), RectifyError> {
         self.failure().map_or(Ok(()), |reason| Err(self.lost(reason)))
     }
 
-    /// Gives the device up, for `reason` unless there was one before.
+    /// Marks the device as lost, for `reason` if it is the first failure.
     pub(super) fn give_up(&self, reason: String) -> RectifyError {
         let mut failure = lock(&self.failure);
         self.lost(failure.get_or_insert(reason).clone())
@@ -97,7 +98,7 @@ impl Device {
         RectifyError::Lost { adapter: self.name.clone(), reason }
     }
 
-    /// Refuses what needs more than the device allows.
+    /// Checks a buffer size against the device's limit.
     pub(super) fn check_fits(&self, what: &'static str, needed: u64) -> Result<(), RectifyError> {
         let limit = self.max_bytes;
         if needed > limit {
@@ -116,8 +117,8 @@ impl Device {
         })
     }
 
-    /// Replaces `buffer` by one of at least `bytes` if it is smaller, and returns whether it was;
-    /// its contents are lost then.
+    /// Replaces `buffer` if it is smaller than `bytes`, without its contents. Returns whether it
+    /// was replaced.
     pub(super) fn grow(&self, buffer: &mut wgpu::Buffer, bytes: u64) -> bool {
         let is_smaller = buffer.size() < bytes;
         if is_smaller {
@@ -126,17 +127,17 @@ impl Device {
         is_smaller
     }
 
-    /// Asks for the first `bytes` of a buffer, as soon as the device has done with it.
+    /// Requests a mapping of the first `bytes` of a buffer, after the device's work on it.
     pub(super) fn map(&self, buffer: &wgpu::Buffer, mode: MapMode, bytes: u64) -> Mapped {
         let (sender, mapped) = mpsc::channel();
         buffer.map_async(mode, ..bytes, move |result| {
-            // The receiver is gone if the buffer's contents are not wanted after all.
+            // The receiver may be dropped; the result is not needed then.
             let _ = sender.send(result);
         });
         mapped
     }
 
-    /// Waits until a buffer that was asked for can be used: for `work`, the last that concerns it.
+    /// Waits until a requested mapping is ready. `work`: last submission that uses the buffer.
     pub(super) fn wait(
         &self,
         mapped: &Mapped,

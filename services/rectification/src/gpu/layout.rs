@@ -1,4 +1,4 @@
-//! The shader's parameters, and where everything lies in the buffers.
+//! Parameters of the shader, and layout of its buffers.
 
 use bytemuck::{Pod, Zeroable};
 use flockeye_geometry::camera::{Camera, CameraModel, Lens, LensCurve, Stereographic};
@@ -8,10 +8,10 @@ use nalgebra::Vector3;
 /// Pixels in a word.
 const WORD_PX: u32 = 4;
 
-/// A workgroup's sides, in words across and rows down; as in the shader.
+/// Sides of a workgroup: words across and rows down, as in the shader.
 const TILE: u32 = 8;
 
-/// A pole this far beside a view, or as far as the view is wide, is near, pixels.
+/// Distance from a view within which a pole is near, pixels; at least the view's width.
 const NEAR_A_POLE_PX: u32 = 64;
 
 /// `Lens` of the shader.
@@ -50,7 +50,7 @@ pub(super) struct SphereUniform {
 impl SphereUniform {
     pub(super) fn new(camera: &Camera, stride: usize) -> Self {
         let (width, height) = (camera.width(), camera.height());
-        // Longer strides make frames that no buffer has room for, which are refused before.
+        // Longer strides are refused before: no buffer has room for such a frame.
         let stride = u32::try_from(stride).unwrap_or(u32::MAX);
         let sphere = Self { width, height, stride, ..Self::default() };
         match camera.model() {
@@ -103,32 +103,31 @@ impl LensUniform {
 #[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
 #[repr(C)]
 pub(super) struct ViewParameters {
-    /// Direction of the pixel `start` in the camera frame, in units of the view's pixels.
+    /// Direction of the pixel `start` in the camera frame, in pixels of the view.
     direction: [f32; 3],
     /// Pixels along a side.
     size: u32,
-    /// From one pixel to its right neighbour.
+    /// Step from a pixel to its right neighbour.
     right: [f32; 3],
     /// Words of four pixels in a row.
     words_per_row: u32,
-    /// From one pixel to the one below.
+    /// Step from a pixel to the one below.
     down: [f32; 3],
-    /// The view's first word in the output.
+    /// First word of the view in the output.
     first_word: u32,
-    /// The pixel from which directions are counted.
+    /// Reference pixel of the directions.
     start: [i32; 2],
-    /// The view's first workgroup, and how many lie side by side.
+    /// First workgroup of the view, and number of workgroups side by side.
     first_tile: u32,
     tiles_across: u32,
-    /// Inverse of the distance that the view is right for, 1/m.
+    /// Inverse of the distance at which the view is exact, 1/m.
     nearness: f32,
     /// 0: bilinear, 1: cubic.
     interpolation: u32,
     padding: [u32; 2],
 }
 
-/// Views laid out one behind the other: in the output by whole words, in the work by whole
-/// workgroups.
+/// Layout of the views of a batch: whole words in the output, whole workgroups in the dispatch.
 #[derive(Debug, Default)]
 pub(super) struct BatchLayout {
     pub(super) views: Vec<ViewParameters>,
@@ -137,11 +136,11 @@ pub(super) struct BatchLayout {
 }
 
 impl BatchLayout {
-    /// Adds a view, unless the output would have more than `max_bytes` then.
+    /// Adds a view, unless the output would exceed `max_bytes`. Returns whether it was added.
     pub(super) fn add(&mut self, cut: &Cut, camera: &Camera, max_bytes: u64) -> bool {
         let size = cut.view.size_px;
         let words_per_row = size.div_ceil(WORD_PX);
-        // A view's sides are limited, so this is far from overflowing.
+        // No overflow: the sides of a view are limited.
         let words = self.words + words_per_row * size;
         if 4 * u64::from(words) > max_bytes {
             return false;
@@ -169,20 +168,20 @@ impl BatchLayout {
         4 * u64::from(self.words)
     }
 
-    /// What precedes the views in their buffer, as `Batch` of the shader begins: how many views and
-    /// workgroups there are, and two words of padding.
+    /// Header of the views' buffer, as in the shader's `Batch`: number of views and of workgroups,
+    /// and two words of padding.
     pub(super) fn header(&self) -> [u32; 4] {
         [self.views.len() as u32, self.tiles, 0, 0]
     }
 
-    /// Workgroups across and down, at most `most` either way; a few more than are needed, where one
-    /// row of them does not do.
+    /// Workgroups across and down, at most `most` each. Several rows may have a few surplus
+    /// workgroups.
     pub(super) fn workgroups(&self, most: u32) -> [u32; 2] {
         let down = self.tiles.div_ceil(most).max(1);
         [self.tiles.div_ceil(down), down]
     }
 
-    /// Copies view `index` out of the output's bytes, rows without gaps.
+    /// Copies view `index` from the output's bytes to `out`, rows without gaps.
     pub(super) fn copy_out(&self, index: usize, bytes: &[u8], out: &mut [u8]) {
         let view = &self.views[index];
         let (size, pitch) = (view.size as usize, (WORD_PX * view.words_per_row) as usize);
@@ -197,9 +196,9 @@ impl BatchLayout {
     }
 }
 
-/// Directions in an equirectangular image are counted from the pixel next to a pole, if the view
-/// shows one or it is near, so that single precision tells the columns apart there too; from the
-/// middle otherwise. Where the view lies in the buffers is left open.
+/// Parameters of a view, without its position in the buffers. In an equirectangular image, the
+/// reference pixel is next to a visible or near pole. So single precision is sufficient to separate
+/// the columns there. Otherwise it is the view's centre.
 fn parameters(cut: &Cut, camera: &Camera) -> ViewParameters {
     let view = &cut.view;
     let axes = view.camera_from_view.to_rotation_matrix();

@@ -4,7 +4,7 @@ use flockeye_geometry::camera::{Camera, CameraModel};
 use flockeye_imaging::sphere::{Cut, Interpolation};
 use wgpu::{BindGroupLayout, BufferBindingType, ComputePipeline, ShaderStages};
 
-/// The shader's pipelines, by the model and the interpolations, and how buffers are bound to them.
+/// Pipelines of the shader by camera model and interpolations, and the layout of their bindings.
 #[derive(Debug)]
 pub(super) struct Shader {
     pub bindings: BindGroupLayout,
@@ -57,9 +57,9 @@ impl Shader {
         Self { bindings, pipelines }
     }
 
-    /// The pipeline for frames of a camera and views that are interpolated as `cuts` are.
+    /// The pipeline for frames of a camera and the interpolations of `cuts`.
     pub(super) fn pipeline(&self, camera: &Camera, cuts: &[Cut]) -> &ComputePipeline {
-        // As the shader counts them.
+        // Numbers of the models as in the shader.
         let model = match camera.model() {
             CameraModel::Equirectangular { .. } => 0,
             CameraModel::DualFisheye(_) => 1,

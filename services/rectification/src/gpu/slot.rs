@@ -1,4 +1,4 @@
-//! One frame on the device, and the views that are cut from it.
+//! A frame on the device, and the views cut from it.
 
 use flockeye_contract::FrameOrder;
 use flockeye_imaging::sphere::{Cut, SphereImage};
@@ -10,23 +10,23 @@ use super::device::Device;
 use super::layout::SphereUniform;
 use crate::rectifier::RectifyError;
 
-/// What may be too large.
+/// Name of a frame's buffer in errors.
 pub(super) const FRAME: &str = "bytes of a frame";
 
-/// A frame, and the buffers it lies in, which outlive it.
+/// A frame and its buffers, which are reused for later frames.
 #[derive(Debug)]
 pub(super) struct FrameSlot {
     frame: Option<(FrameOrder, SphereUniform)>,
-    /// When it was last used, by the rectifier's count of calls.
+    /// Last use, by the rectifier's call counter.
     pub used: u64,
     sphere: Buffer,
     luma: Buffer,
-    /// Where the processor writes the pixels, if it cannot do so in place.
+    /// Staging buffer to which the CPU writes the pixels, if it cannot write in place.
     staging: Option<Buffer>,
     batches: Vec<Batch>,
-    /// How many of them have views of this frame.
+    /// Number of batches with views of this frame.
     pub(super) filled: usize,
-    /// The last work on the frame's buffers.
+    /// Last submission that uses the frame's buffers.
     work: Option<SubmissionIndex>,
 }
 
@@ -54,13 +54,13 @@ impl FrameSlot {
         self.frame == Some((frame, SphereUniform::new(sphere.camera(), sphere.stride())))
     }
 
-    /// Whether the slot has a frame of which no view was ordered.
+    /// Whether the slot has a frame without ordered views.
     pub(super) fn is_untouched(&self) -> bool {
         self.frame.is_some() && self.filled == 0
     }
 
-    /// Takes another frame. The pixels are copied, once, before this returns; where the device has
-    /// memory of its own, it fetches them from there later.
+    /// Uploads another frame. The pixels are copied before this returns. A device with its own
+    /// memory copies them from the staging buffer later.
     pub(super) fn upload(
         &mut self,
         device: &Device,
@@ -104,7 +104,8 @@ impl FrameSlot {
         device.check_alive()
     }
 
-    /// Has those of `cuts` cut that are not yet: together, unless their output is too large.
+    /// Submits those of `cuts` that were not ordered before: in one batch, unless the output is too
+    /// large.
     pub(super) fn order(
         &mut self,
         device: &Device,
@@ -126,7 +127,7 @@ impl FrameSlot {
         device.check_alive()
     }
 
-    /// Copies a view out that was ordered; false if it was not.
+    /// Copies an ordered view to `out`. Returns false if it was not ordered.
     pub(super) fn copy_out(
         &mut self,
         device: &Device,

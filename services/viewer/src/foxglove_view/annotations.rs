@@ -1,5 +1,4 @@
-//! What was found in a picture, as Foxglove's annotations of it: bodies, markers, regions of
-//! interest.
+//! Bodies, markers and regions of interest of a picture, as Foxglove's annotations.
 
 use flockeye_config::Resolved;
 use flockeye_contract::{Track, TrackState};
@@ -16,7 +15,7 @@ use crate::scene::EndedFrame;
 use crate::wire::RegionView;
 
 const MARKER: [u8; 3] = [0x4d, 0xe3, 0xe3];
-/// Points along the side of a region, whose image is curved.
+/// Points along each side of a region, whose image is curved.
 const STEPS: u32 = 8;
 
 /// The annotations of an equirectangular picture of `size` pixels.
@@ -27,98 +26,97 @@ pub fn annotations(
     at: Timestamp,
 ) -> ImageAnnotations {
     let [width, height] = size;
-    let annotator = PictureAnnotator { picture: Equirectangular { width, height }, at };
+    let picture = Equirectangular { width, height };
     let mut drawn = ImageAnnotations { timestamp: Some(at), ..ImageAnnotations::default() };
     for region in &ended.message.regions {
         let outline = outline(region);
-        drawn.points.extend(annotator.lines(&outline, colour(region.target, 0.6), 1.0));
+        drawn.points.extend(lines(&picture, at, &outline, colour(region.target, 0.6), 1.0));
     }
     for marker in &ended.message.markers {
         let alpha = if marker.doubtful { 0.4 } else { 1.0 };
         let corners = marker.rays.map(|ray| Vector3::from(ray.map(f64::from)));
-        drawn.points.extend(annotator.lines(&corners, of_bytes(MARKER, alpha), 1.0));
+        drawn.points.extend(lines(&picture, at, &corners, of_bytes(MARKER, alpha), 1.0));
     }
     for track in &ended.tracks {
-        annotator.body(resolved, track, &mut drawn);
+        draw_body(&picture, at, resolved, track, &mut drawn);
     }
     drawn
 }
 
-struct PictureAnnotator {
-    picture: Equirectangular,
+fn draw_body(
+    picture: &Equirectangular,
     at: Timestamp,
+    resolved: &Resolved,
+    track: &Track,
+    drawn: &mut ImageAnnotations,
+) {
+    let Some(body) = resolved.bodies.get(track.target as usize) else { return };
+    if track.state == TrackState::Lost.code() {
+        return;
+    }
+    let camera_from_markers = resolved.observer_from_camera.inverse()
+        * isometry(&track.observer_from_target)
+        * body.target_from_markers;
+    for facet in body.facets() {
+        let corners: Vec<Vector3<f64>> =
+            facet.outline.iter().map(|corner| (camera_from_markers * corner).coords).collect();
+        let faces_camera = (camera_from_markers * facet.normal).dot(&corners[0]) < 0.0;
+        if faces_camera {
+            drawn.points.extend(lines(picture, at, &corners, colour(track.target, 1.0), 1.5));
+        }
+    }
+    let middle = camera_from_markers.translation.vector;
+    if let Some(place) = place(picture, &middle) {
+        drawn.texts.push(TextAnnotation {
+            timestamp: Some(at),
+            position: Some(place),
+            text: format!("{} {:.2} m", body.name, middle.norm()),
+            font_size: 14.0,
+            text_color: Some(colour(track.target, 1.0)),
+            background_color: Some(of_bytes([0; 3], 0.5)),
+            ..TextAnnotation::default()
+        });
+    }
 }
 
-impl PictureAnnotator {
-    fn body(&self, resolved: &Resolved, track: &Track, drawn: &mut ImageAnnotations) {
-        let Some(body) = resolved.bodies.get(track.target as usize) else { return };
-        if track.state == TrackState::Lost.code() {
-            return;
+/// A closed line through points of the camera frame. It is cut in two where it leaps from one
+/// border of the picture to the other.
+fn lines(
+    picture: &Equirectangular,
+    at: Timestamp,
+    points: &[Vector3<f64>],
+    colour: Color,
+    thickness: f64,
+) -> Vec<PointsAnnotation> {
+    let closed = points.iter().chain(points.first());
+    let mut parts: Vec<Vec<Point2>> = vec![Vec::new()];
+    let half = f64::from(picture.width) / 2.0;
+    for place in closed.filter_map(|point| place(picture, point)) {
+        let leaps =
+            |part: &Vec<Point2>| part.last().is_some_and(|last| (last.x - place.x).abs() > half);
+        if parts.last().is_some_and(leaps) {
+            parts.push(Vec::new());
         }
-        let camera_from_markers = resolved.observer_from_camera.inverse()
-            * isometry(&track.observer_from_target)
-            * body.target_from_markers;
-        for facet in body.facets() {
-            let corners: Vec<Vector3<f64>> =
-                facet.outline.iter().map(|corner| (camera_from_markers * corner).coords).collect();
-            let faces_camera = (camera_from_markers * facet.normal).dot(&corners[0]) < 0.0;
-            if faces_camera {
-                drawn.points.extend(self.lines(&corners, colour(track.target, 1.0), 1.5));
-            }
-        }
-        let middle = camera_from_markers.translation.vector;
-        if let Some(place) = self.place(&middle) {
-            drawn.texts.push(TextAnnotation {
-                timestamp: Some(self.at),
-                position: Some(place),
-                text: format!("{} {:.2} m", body.name, middle.norm()),
-                font_size: 14.0,
-                text_color: Some(colour(track.target, 1.0)),
-                background_color: Some(of_bytes([0; 3], 0.5)),
-                ..TextAnnotation::default()
-            });
+        if let Some(part) = parts.last_mut() {
+            part.push(place);
         }
     }
+    let drawn = parts.into_iter().filter(|part| part.len() > 1).map(|points| PointsAnnotation {
+        timestamp: Some(at),
+        r#type: points_annotation::Type::LineStrip as i32,
+        points,
+        outline_color: Some(colour),
+        thickness,
+        ..PointsAnnotation::default()
+    });
+    drawn.collect()
+}
 
-    /// A closed line through points of the camera frame. Where it leaps from one border of the
-    /// picture to the other, it is cut in two.
-    fn lines(
-        &self,
-        points: &[Vector3<f64>],
-        colour: Color,
-        thickness: f64,
-    ) -> Vec<PointsAnnotation> {
-        let closed = points.iter().chain(points.first());
-        let mut parts: Vec<Vec<Point2>> = vec![Vec::new()];
-        let half = f64::from(self.picture.width) / 2.0;
-        for place in closed.filter_map(|point| self.place(point)) {
-            let leaps = |part: &Vec<Point2>| {
-                part.last().is_some_and(|last| (last.x - place.x).abs() > half)
-            };
-            if parts.last().is_some_and(leaps) {
-                parts.push(Vec::new());
-            }
-            if let Some(part) = parts.last_mut() {
-                part.push(place);
-            }
-        }
-        let drawn =
-            parts.into_iter().filter(|part| part.len() > 1).map(|points| PointsAnnotation {
-                timestamp: Some(self.at),
-                r#type: points_annotation::Type::LineStrip as i32,
-                points,
-                outline_color: Some(colour),
-                thickness,
-                ..PointsAnnotation::default()
-            });
-        drawn.collect()
-    }
-
-    /// Where the picture shows a point. Its first pixel's middle is at (0.5, 0.5) for Foxglove.
-    fn place(&self, point: &Vector3<f64>) -> Option<Point2> {
-        let SpherePixel(at) = self.picture.project(&Ray::try_new(*point, 1e-9)?);
-        Some(Point2 { x: at.x + 0.5, y: at.y + 0.5 })
-    }
+/// Position of a point in the picture, if it has one. Foxglove puts the middle of the first pixel
+/// at (0.5, 0.5).
+fn place(picture: &Equirectangular, point: &Vector3<f64>) -> Option<Point2> {
+    let SpherePixel(at) = picture.project(&Ray::try_new(*point, 1e-9)?);
+    Some(Point2 { x: at.x + 0.5, y: at.y + 0.5 })
 }
 
 /// Directions along the sides of a region's view, in the camera frame.
@@ -144,18 +142,18 @@ mod tests {
     #[test]
     fn a_line_over_the_seam_is_cut_in_two() {
         let picture = Equirectangular { width: 200, height: 100 };
-        let annotator = PictureAnnotator { picture, at: Timestamp::new(0, 0) };
+        let at = Timestamp::new(0, 0);
         let behind = [[-1.0, 0.1, 0.0], [-1.0, -0.1, 0.0], [-1.0, -0.1, 0.1], [-1.0, 0.1, 0.1]];
         let behind = behind.map(Vector3::from);
-        let lines = annotator.lines(&behind, of_bytes([0; 3], 1.0), 1.0);
-        assert!(lines.len() >= 2, "{lines:?}");
-        for line in &lines {
+        let found = lines(&picture, at, &behind, of_bytes([0; 3], 1.0), 1.0);
+        assert!(found.len() >= 2, "{found:?}");
+        for line in &found {
             let columns: Vec<f64> = line.points.iter().map(|point| point.x).collect();
             let apart = columns.iter().fold(0f64, |most, x| most.max((x - columns[0]).abs()));
             assert!(apart < 10.0, "{columns:?}");
         }
         let ahead = behind.map(|point| Vector3::new(-point.x, point.y, point.z));
-        let lines = annotator.lines(&ahead, of_bytes([0; 3], 1.0), 1.0);
-        assert_eq!((lines.len(), lines[0].points.len()), (1, 5), "it is closed");
+        let found = lines(&picture, at, &ahead, of_bytes([0; 3], 1.0), 1.0);
+        assert_eq!((found.len(), found[0].points.len()), (1, 5), "it is closed");
     }
 }

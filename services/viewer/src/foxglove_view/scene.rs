@@ -13,13 +13,13 @@ use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion};
 
 use super::values::{CAMERA, OBSERVER, colour, of_bytes, point, pose, quaternion, vector};
 
-/// An ellipsoid shows so many standard deviations.
+/// Standard deviations that an ellipsoid shows.
 const SIGMAS: f64 = 2.0;
-/// What is not said again in this time is gone, seconds.
+/// Lifetime of an entity that is not sent again, seconds.
 const LIFETIME_S: i32 = 2;
 
-/// What was seen in a frame, as a scene: each neighbour's body and ellipsoid, with its name. Lost
-/// ones are deleted.
+/// The scene of a frame: each neighbour's body and ellipsoid, with its name. Lost neighbours are
+/// deleted.
 pub fn scene(resolved: &Resolved, tracks: &[Track], at: Timestamp) -> SceneUpdate {
     let mut update = SceneUpdate::default();
     for track in tracks {
@@ -37,7 +37,7 @@ pub fn scene(resolved: &Resolved, tracks: &[Track], at: Timestamp) -> SceneUpdat
     update
 }
 
-/// Where the camera and the neighbours are, in this drone's frame.
+/// Transforms of the camera and the neighbours to this drone's frame.
 pub fn transforms(resolved: &Resolved, tracks: &[Track], at: Timestamp) -> FrameTransforms {
     let transform = |child: &str, observer_from_child: &Isometry3<f64>| FrameTransform {
         timestamp: Some(at),
@@ -113,7 +113,7 @@ fn ellipsoid(track: &Track, observer_from_target: &Isometry3<f64>) -> SpherePrim
     }
     let rotation = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(axes));
     let at = Isometry3::from_parts(observer_from_target.translation, rotation);
-    // Diameters.
+    // Foxglove's size is the diameter.
     let [x, y, z] = [0, 1, 2].map(|k| 2.0 * SIGMAS * eigen.eigenvalues[k].max(0.0).sqrt());
     SpherePrimitive {
         pose: Some(pose(&at)),

@@ -1,14 +1,14 @@
-//! Foxglove's values of ours.
+//! Conversions to Foxglove's types.
 
 use flockeye_convert::xyzw;
 use foxglove::messages::{Color, Point3, Pose, Quaternion, Timestamp, Vector3};
 use nalgebra::{self as na, Isometry3, UnitQuaternion};
 
-/// Frames of reference.
+/// Names of the frames of reference.
 pub const OBSERVER: &str = "observer";
 pub const CAMERA: &str = "camera";
 
-/// Colours of bodies, by their numbers: those of the page.
+/// Colours of bodies by their numbers, as on the page.
 const COLOURS: [[u8; 3]; 8] = [
     [0x6c, 0xc6, 0xff],
     [0xff, 0xb8, 0x6b],

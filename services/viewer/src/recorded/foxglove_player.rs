@@ -1,5 +1,5 @@
-//! Plays a recording to Foxglove's clients. All of them are at one place: the protocol's playback
-//! control speaks of the server's.
+//! Plays a recording to Foxglove's clients. All clients are at one position, because the protocol's
+//! playback control is one per server.
 
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -19,13 +19,13 @@ use super::playhead::{NewFrames, Playhead};
 use crate::foxglove_view::FoxgloveView;
 use crate::remote::{Move, Remote};
 
-/// Period at which the player goes on and looks for requests.
+/// Period at which the player advances and checks for requests.
 const TICK: Duration = Duration::from_millis(20);
-/// How often the stages are shown, and what is shown while it is paused: clients may have
+/// Period at which the stages are sent, and the current frame while paused: clients may have
 /// subscribed since.
 const REPORT_PERIOD: Duration = Duration::from_millis(500);
 
-/// What the clients ask for, as the server's threads hear it.
+/// Requests of the clients, which arrive on the server's threads.
 struct Control {
     recorded: Arc<Recorded>,
     remote: Arc<Remote>,
@@ -56,7 +56,7 @@ impl ServerListener for Control {
 /// Serves a recording at `address`, in threads that end with the process. Returns the port.
 ///
 /// # Errors
-/// The address is taken or not this machine's, or there are no more threads.
+/// The address is in use or not this machine's, or no thread can be started.
 pub fn start(address: SocketAddr, recorded: Arc<Recorded>) -> anyhow::Result<u16> {
     let (remote, at_ns) = (Arc::<Remote>::default(), Arc::new(AtomicU64::new(recorded.first_ns)));
     let control =
@@ -91,7 +91,7 @@ struct FoxglovePlayer {
 }
 
 impl FoxglovePlayer {
-    /// Plays from the beginning, once somebody has subscribed.
+    /// Plays from the beginning, once a client has subscribed.
     fn run(mut self, remote: &Remote) {
         let (mut last, mut reported_at) = (Instant::now(), Instant::now());
         loop {
@@ -149,7 +149,7 @@ impl FoxglovePlayer {
         }
     }
 
-    /// Sends so many frames, up to the one that is shown, and the picture of that.
+    /// Sends the last `frames` frames up to the one that is shown, and its picture.
     fn show(&mut self, frames: usize) {
         self.at_ns.store(self.head.at_ns, Ordering::Relaxed);
         self.server.broadcast_time(self.head.at_ns);
@@ -166,7 +166,7 @@ impl FoxglovePlayer {
             return;
         };
         let of = |stamp: &FrameStamp| recent.iter().find(|seen| seen.stamp.is_same_frame(stamp));
-        // A picture of an earlier frame has been shown with it.
+        // A picture of an earlier frame was already shown with that frame.
         let nearest = pictures.nearest(&seen.stamp, seen.utc_ns);
         if self.speed > 0.0 && nearest.is_none_or(|nearest| !nearest.is_same_frame(&seen.stamp)) {
             return;

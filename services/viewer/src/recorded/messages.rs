@@ -14,15 +14,15 @@ use flockeye_recording::{
 
 use crate::scene::PageScene;
 
-/// Which channels have messages of the contract, as this Flockeye knows them.
+/// The channels with messages of the contract, in the layout that this version reads.
 pub struct ContractChannels {
     known: BTreeMap<u16, (TopicId, TopicLayout)>,
     foreign: Vec<(TopicId, &'static str)>,
 }
 
 impl ContractChannels {
-    /// Reads the channels of a recording. A topic counts if its messages are defined in the file as
-    /// they are here.
+    /// Reads the channels of a recording. A topic counts if the file defines its messages as this
+    /// version does.
     pub fn of(recording: &IndexedRecording) -> Self {
         let (mut known, mut foreign) = (BTreeMap::new(), Vec::new());
         for (topic, layout) in TOPICS.iter().zip(layouts()) {
@@ -41,12 +41,12 @@ impl ContractChannels {
         Self { known, foreign }
     }
 
-    /// Whether a topic is there and defined otherwise.
+    /// Whether the file defines this topic in another way.
     pub fn is_foreign(&self, topic: TopicId) -> bool {
         self.foreign.iter().any(|(foreign, _)| *foreign == topic)
     }
 
-    /// Names of the topics that are defined otherwise.
+    /// Names of the topics that the file defines in another way.
     pub fn foreign(&self) -> Vec<&'static str> {
         self.foreign.iter().map(|(_, name)| *name).collect()
     }
@@ -56,7 +56,7 @@ impl ContractChannels {
         self.known.get(&channel).is_some_and(|(found, _)| *found == topic)
     }
 
-    /// Whether a channel's messages make up the scene.
+    /// Whether the scene uses this channel's messages.
     pub fn is_of_scene(&self, channel: u16) -> bool {
         let topic = self.known.get(&channel).map(|(topic, _)| *topic);
         matches!(
@@ -88,7 +88,7 @@ impl ContractChannels {
         Some(header)
     }
 
-    /// Hands a message on, if it is whole and keeps the contract. Tracks are returned.
+    /// Passes a message to the scene, if it is complete and keeps the contract. Returns tracks.
     pub fn hand_on(
         &self,
         message: &IndexedMessage,
@@ -126,13 +126,13 @@ impl ContractChannels {
     }
 }
 
-/// A message that is whole and keeps the contract.
+/// Decodes a message; none if it is incomplete or breaks the contract.
 fn read<T: Topic>(
     layout: &TopicLayout,
     message: &IndexedMessage,
 ) -> Option<(T::Header, Vec<T::Item>)> {
     let found = decode(layout, &message.bytes).ok()?;
-    // `decode` gives as many bytes as the types have.
+    // `decode` returns exactly as many bytes as the types have.
     let header: T::Header = pod_read_unaligned(&found.header);
     let items: Vec<T::Item> =
         found.items.chunks_exact(size_of::<T::Item>()).map(pod_read_unaligned).collect();

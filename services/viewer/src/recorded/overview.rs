@@ -1,4 +1,4 @@
-//! An overview of a recording: its time in equal parts, each with what is worst in it.
+//! An overview of a recording: its time in equal parts, each with its worst values.
 
 use std::collections::BTreeMap;
 
@@ -9,10 +9,10 @@ use super::Recorded;
 use crate::scene::latency_ms;
 use crate::wire;
 
-/// Parts of a recording: as many as a page has pixels for.
+/// Number of parts, about as many as a page has pixels for.
 const PARTS: usize = 800;
 
-/// An overview that is being made: one pass over the file.
+/// Builds an overview in one pass over the file.
 pub struct OverviewMaker<'r> {
     recorded: &'r Recorded,
     next_chunk: usize,
@@ -25,7 +25,7 @@ pub struct OverviewMaker<'r> {
 }
 
 impl<'r> OverviewMaker<'r> {
-    /// Nothing read yet.
+    /// An empty overview, before the first chunk.
     pub fn new(recorded: &'r Recorded) -> Self {
         Self {
             recorded,
@@ -39,7 +39,7 @@ impl<'r> OverviewMaker<'r> {
         }
     }
 
-    /// Reads the next chunk. False: there are no more. A chunk that is damaged is passed over.
+    /// Reads the next chunk. False: there are no more. A damaged chunk is skipped.
     pub fn read(&mut self) -> bool {
         let Recorded { recording, channels, losses, .. } = self.recorded;
         let chunk = self.next_chunk;
@@ -67,7 +67,7 @@ impl<'r> OverviewMaker<'r> {
         true
     }
 
-    /// What is known by now.
+    /// The overview of the chunks that were read so far.
     pub fn overview(&self) -> wire::Overview {
         let chunks = self.recorded.recording.chunks().len().max(1);
         let states = self.states.iter().map(|(target, states)| wire::TargetStates {
@@ -106,7 +106,7 @@ impl<'r> OverviewMaker<'r> {
             self.latency_ms[part] = Some(latency);
         }
         let Ok(state) = TrackState::try_from(track.state) else { return };
-        // Foreign numbers take no memory.
+        // Numbers of unknown bodies must not take memory.
         if track.target as usize >= self.recorded.resolved.bodies.len() {
             return;
         }

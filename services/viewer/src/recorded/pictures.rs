@@ -1,4 +1,4 @@
-//! The recorded picture that is nearest before a frame, and close-ups from it.
+//! The nearest recorded picture before a frame, and close-ups from it.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -16,9 +16,9 @@ use crate::picture::{PictureMaker, decode, jpeg_size};
 use crate::scene::EndedFrame;
 use crate::wire::{self, CloseupHead};
 
-/// Chunks whose pictures are kept: that of a frame, the one before, and one to go on with.
+/// Chunks whose pictures are kept: that of a frame, the one before, and the next.
 const MOST_CHUNKS: usize = 3;
-/// Neighbours of a picture that are shown closely at most.
+/// Maximum close-ups of a picture.
 const MOST_CLOSEUPS: usize = 4;
 
 /// The header of a frame, and its recorded picture, a JPEG.
@@ -27,12 +27,12 @@ type FramePicture = (FrameHeader, Vec<u8>);
 /// A picture as a page shows it.
 #[derive(Debug)]
 pub struct PagePicture {
-    /// The frame that it is of.
+    /// The frame that it shows.
     pub stamp: FrameStamp,
-    /// Its sides, pixels.
+    /// Width and height, pixels.
     pub size: [u32; 2],
     pub jpeg: Vec<u8>,
-    /// Close-ups with their numbers of bodies.
+    /// Heads and JPEGs of its close-ups.
     pub closeups: Vec<(CloseupHead, Vec<u8>)>,
 }
 
@@ -48,24 +48,24 @@ impl RecordedPictures {
     /// Opens the pictures of a recording.
     pub fn new(recorded: Arc<Recorded>) -> anyhow::Result<Self> {
         let maker = PictureMaker::new(&recorded.resolved.camera)?;
-        // A dictionary that is a file may be gone.
+        // A dictionary file may no longer exist.
         let closeups = CloseupMaker::new(&recorded.resolved)
             .inspect_err(|error| tracing::warn!("no close-ups: {error:#}"))
             .ok();
         Ok(Self { recorded, maker, closeups, chunks: VecDeque::new(), trouble: None })
     }
 
-    /// Why something could not be shown, if that is new.
+    /// The reason why a picture could not be shown, if it is new.
     pub fn trouble(&mut self) -> Option<String> {
         self.trouble.take()
     }
 
-    /// The frame of the newest picture up to this frame, which ended at that time.
+    /// The frame of the newest picture up to `frame`, which ended at `at_ns`.
     pub fn nearest(&mut self, frame: &FrameStamp, at_ns: u64) -> Option<FrameStamp> {
         self.find(frame.order(), at_ns).map(|(chunk, place)| chunk[place].0.stamp)
     }
 
-    /// Reads a picture. `of`: what ended in a frame that is known, for close-ups.
+    /// Reads a picture. `of` returns the ended frame of a stamp, where it is known, for close-ups.
     pub fn picture<'e>(
         &mut self,
         frame: &FrameStamp,
@@ -119,7 +119,7 @@ impl RecordedPictures {
         Ok(picture)
     }
 
-    /// The chunk of the newest picture up to this frame, and its place there.
+    /// The chunk of the newest picture up to this frame, and the picture's index there.
     fn find(&mut self, order: FrameOrder, at_ns: u64) -> Option<(Arc<Vec<FramePicture>>, usize)> {
         let images = self.recorded.images?;
         let mut chunk = self.recorded.recording.chunk_at(at_ns);
@@ -130,8 +130,7 @@ impl RecordedPictures {
             };
             chunk = (0..=chunk).rev().find(|chunk| has_images(*chunk))?;
             let pictures = self.of_chunk(chunk, images);
-            // The source may be another process by then, but what was published earlier came
-            // earlier.
+            // The source may be another process by then, but its earlier frames arrived earlier.
             let place = pictures.iter().rposition(|(header, _)| header.stamp.order() <= order);
             if let Some(place) = place {
                 return Some((pictures, place));
@@ -177,7 +176,7 @@ impl RecordedPictures {
             let picture = decode_compressed(FRAME_IMAGES, &message.bytes)?;
             let mut header = header_at(&headers, picture.stamp.utc_ns());
             if header.is_none() && chunk > 0 {
-                // A chunk may end between the two.
+                // A chunk may end between the header and its picture.
                 let before = recording.messages(chunk - 1, is_frame)?;
                 let before: Vec<_> =
                     before.iter().filter_map(|message| channels.frame(message)).collect();

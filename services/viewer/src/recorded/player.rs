@@ -1,5 +1,5 @@
-//! Plays a recording to one page: the messages of a running pipeline, for the time that the page
-//! asks for.
+//! Plays a recording to one page: the messages of a running pipeline, at the time of the page's
+//! requests.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -14,13 +14,13 @@ use crate::pages::OpenPage;
 use crate::remote::{Move, Remote};
 use crate::wire::{self, BinaryHead, TextMessage};
 
-/// While it plays, it goes on so often.
+/// Period of playback.
 const TICK: Duration = Duration::from_millis(15);
-/// While it is paused, it looks so often whether the page can take a picture.
+/// Period of the check whether the page can take a picture, while paused.
 const LOOK: Duration = Duration::from_millis(500);
-/// Messages that may wait for the page before it goes on.
+/// Maximum messages that wait for the page before playback continues.
 const MOST_WAITING: usize = 24;
-/// How often stages and swarm are shown while it plays.
+/// Period at which stages and swarm are shown while it plays.
 const REPORT_PERIOD: Duration = Duration::from_millis(500);
 
 /// Starts a player for a page, in a thread that ends with the page.
@@ -41,7 +41,7 @@ struct Player<'p> {
     pictures: Option<RecordedPictures>,
     speed: f64,
     answers: u64,
-    /// The picture that the page has, and when it got it.
+    /// The frame of the picture that the page shows, and when it was sent.
     shown: Option<FrameStamp>,
     shown_at: Instant,
     reported_at: Instant,
@@ -86,7 +86,7 @@ impl<'p> Player<'p> {
                 None if self.speed > 0.0 => self.go_on(passed),
                 None => self.show_picture(),
             }
-            // A page that is slow delays what comes next.
+            // A slow page delays the following frames.
             while self.page.outbox(|outbox| outbox.waiting()) >= MOST_WAITING && !remote.is_closed()
             {
                 std::thread::sleep(TICK);
@@ -104,7 +104,7 @@ impl<'p> Player<'p> {
             }
             Move::Play(speed) => {
                 self.speed = speed;
-                // From its end it begins anew.
+                // At the end of the recording it starts again from the beginning.
                 match speed > 0.0 && self.head.is_at_end() {
                     true => self.head.seek(0),
                     false => NewFrames::Last(0),
@@ -122,7 +122,7 @@ impl<'p> Player<'p> {
         self.tell(change);
     }
 
-    /// Tells the page what has changed, and then where it is.
+    /// Sends the page what has changed, and then its position.
     fn tell(&mut self, change: NewFrames) {
         let recent = &self.head.recent;
         let new = match change {
@@ -133,7 +133,7 @@ impl<'p> Player<'p> {
             self.put(&TextMessage::Frame(&seen.message));
         }
         if change == NewFrames::All {
-            // Close-ups belong to frames that the page has let go.
+            // The page has dropped the frames of the old close-ups.
             self.shown = None;
         }
         self.show_picture();
@@ -171,7 +171,8 @@ impl<'p> Player<'p> {
         });
     }
 
-    /// Shows the picture that is nearest before the frame, if the page has another and takes one.
+    /// Shows the nearest picture before the frame, if it is another one and the page accepts
+    /// pictures.
     fn show_picture(&mut self) {
         let (Some(pictures), Some(seen)) = (&mut self.pictures, self.head.current()) else {
             return;
@@ -189,7 +190,7 @@ impl<'p> Player<'p> {
         }
         let recent = &self.head.recent;
         let of = |stamp: &FrameStamp| recent.iter().find(|seen| seen.stamp.is_same_frame(stamp));
-        // A frame that cannot be shown is tried once.
+        // A frame that cannot be shown is tried only once.
         (self.shown, self.shown_at) = (Some(nearest), Instant::now());
         let Some(picture) = pictures.picture(&seen.stamp, seen.utc_ns, of) else { return };
         let key = wire::key(&picture.stamp);

@@ -1,5 +1,5 @@
-//! Which frame of a recording is shown: for seeks, steps, and time that passes. No socket, no
-//! clock.
+//! The frame of a recording that is shown, for seeks, steps and time that passes. It has no socket
+//! and no clock.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -8,38 +8,38 @@ use super::Recorded;
 use super::tape::SceneTape;
 use crate::scene::EndedFrame;
 
-/// Time before a frame that is read with it, for trails and states, nanoseconds: less than a page
-/// keeps.
+/// Time before a frame that is read with it, for trails and states, nanoseconds. A page keeps a
+/// longer time.
 const LEAD_NS: u64 = 9_000_000_000;
-/// Frames that are kept at most.
+/// Maximum frames that are kept.
 const MOST_FRAMES: usize = 600;
-/// Where nothing ended in the lead, one so many times as long is tried.
+/// Factor by which the lead grows where no frame ended in it.
 const WIDER: u64 = 8;
 
-/// Which of the frames that are kept a move has brought.
+/// The frames that a move has added to those that are kept.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum NewFrames {
-    /// All of them.
+    /// All frames that are kept.
     All,
-    /// This many at the end.
+    /// The last frames, this many.
     Last(usize),
 }
 
-/// A place in a recording, with the frames before it.
+/// A position in a recording, with the frames before it.
 pub struct Playhead {
     recorded: Arc<Recorded>,
-    /// What the recording says there beside frames.
+    /// The recording from this position on.
     pub(super) tape: SceneTape,
-    /// The frames that are kept, up to the last that was read.
+    /// The frames that are kept, up to the last one that was read.
     pub(super) recent: VecDeque<EndedFrame>,
-    /// Which of them is shown.
+    /// Index in `recent` of the frame that is shown.
     current: usize,
     /// The time that is shown, UTC nanoseconds.
     pub(super) at_ns: u64,
 }
 
 impl Playhead {
-    /// At the beginning.
+    /// Starts at the beginning of the recording.
     pub fn new(recorded: Arc<Recorded>) -> Self {
         let at_ns = recorded.first_ns;
         let tape = SceneTape::at(recorded.clone(), at_ns);
@@ -52,12 +52,12 @@ impl Playhead {
         self.recent.get(self.current)
     }
 
-    /// Whether nothing follows.
+    /// Whether the end of the recording is reached.
     pub fn is_at_end(&self) -> bool {
         self.at_ns >= self.recorded.last_ns
     }
 
-    /// Shows the last frame that had ended at this time, or the first of all.
+    /// Shows the last frame that ended until this time, or the first of all.
     pub fn seek(&mut self, to_ns: u64) -> NewFrames {
         let to_ns = to_ns.clamp(self.recorded.first_ns, self.recorded.last_ns);
         let mut lead_ns = LEAD_NS;
@@ -66,7 +66,7 @@ impl Playhead {
             self.tape = SceneTape::at(self.recorded.clone(), from_ns);
             self.recent.clear();
             while let Some(seen) = self.tape.next_until(to_ns) {
-                // A chunk begins earlier.
+                // A chunk begins before the lead, so it has older frames.
                 if seen.utc_ns >= from_ns {
                     self.push(seen);
                 }
@@ -86,7 +86,7 @@ impl Playhead {
         NewFrames::All
     }
 
-    /// Shows the frame so many frames on, or back, as far as there are frames.
+    /// Shows the frame `frames` further on, or back if negative, as far as there are frames.
     pub fn step(&mut self, frames: i32) -> NewFrames {
         let mut new = NewFrames::Last(0);
         let mut left = frames.unsigned_abs() as usize;
@@ -111,7 +111,7 @@ impl Playhead {
             } else {
                 let Some(first) = self.recent.front().map(|seen| seen.utc_ns) else { break };
                 new = self.seek(first.saturating_sub(1));
-                // There was nothing before it.
+                // There is no earlier frame.
                 if self.current().is_none_or(|seen| seen.utc_ns >= first) {
                     break;
                 }
@@ -124,10 +124,10 @@ impl Playhead {
         new
     }
 
-    /// Goes on to this time.
+    /// Advances to this time.
     pub fn advance(&mut self, to_ns: u64) -> NewFrames {
         let to_ns = to_ns.min(self.recorded.last_ns);
-        // Somebody has stepped back, and what was read since is to be shown in its time.
+        // After a step back the later frames that were read must appear in their time again.
         if self.current + 1 < self.recent.len() {
             return self.seek(to_ns);
         }

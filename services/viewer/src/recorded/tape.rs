@@ -1,4 +1,4 @@
-//! Reads a recording on from a time, and gives each frame that ends.
+//! Reads a recording forward from a time, and returns each frame that ends.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -9,7 +9,7 @@ use super::Recorded;
 use crate::scene::{EndedFrame, PageScene};
 use crate::wire::{DroneSummary, ProcessReport, SightingSummary};
 
-/// A place in a recording, and what is known there.
+/// A position in a recording, and the scene there.
 pub struct SceneTape {
     recorded: Arc<Recorded>,
     scene: PageScene,
@@ -19,7 +19,7 @@ pub struct SceneTape {
 }
 
 impl SceneTape {
-    /// At the first chunk that may have what came at this time.
+    /// Starts at the first chunk that may hold messages of this time.
     pub fn at(recorded: Arc<Recorded>, utc_ns: u64) -> Self {
         Self {
             scene: PageScene::new(recorded.is_real_time()),
@@ -30,8 +30,7 @@ impl SceneTape {
         }
     }
 
-    /// The next frame that ended until then; `None`: there is none, and all before that time has
-    /// been taken.
+    /// The next frame that ended until `until_ns`. `None`: all frames before that time were taken.
     pub fn next_until(&mut self, until_ns: u64) -> Option<EndedFrame> {
         loop {
             while let Some(message) = self.waiting.front() {
@@ -51,24 +50,24 @@ impl SceneTape {
             let channels = &self.recorded.channels;
             match recording.messages(self.next_chunk, |channel| channels.is_of_scene(channel)) {
                 Ok(messages) => self.waiting = messages.into(),
-                // What follows is whole again.
+                // The following chunks are intact.
                 Err(error) => self.trouble = Some(format!("{error}; what lies round it is shown")),
             }
             self.next_chunk += 1;
         }
     }
 
-    /// Why something could not be read, if that is new.
+    /// The reason why a chunk could not be read, if it is new.
     pub fn trouble(&mut self) -> Option<String> {
         self.trouble.take()
     }
 
-    /// What the stages reported until this time.
+    /// Reports of the stages until this time.
     pub fn stages(&mut self, utc_ns: u64) -> Vec<ProcessReport> {
         self.scene.stages(self.recorded.monotonic_ns(utc_ns))
     }
 
-    /// What was known of the swarm at this time.
+    /// Poses and sightings of the swarm at this time.
     pub fn swarm(&mut self, utc_ns: u64) -> Option<(Vec<DroneSummary>, Vec<SightingSummary>)> {
         self.scene.swarm(self.recorded.monotonic_ns(utc_ns))
     }

@@ -1,7 +1,7 @@
 //! The two ends of a hop through dora-rs: `dora-hop send BYTES MESSAGES PERIOD_MS` and `dora-hop
-//! receive FILE`, both started by dora as the nodes of a dataflow. The file gets a line for each
-//! message, with the nanoseconds from its being sent to the receiver's wake-up and to its having
-//! read each cache line.
+//! receive FILE`. dora starts both as the nodes of a dataflow. The file gets a line for each
+//! message with two latencies from sending, nanoseconds. They end at the receiver's wake-up, and
+//! when it has read each cache line.
 
 use std::fs::File;
 use std::hint::black_box;
@@ -12,7 +12,7 @@ use dora_node_api::{DoraNode, Event, MetadataParameters};
 use eyre::{OptionExt as _, bail};
 use rustix::time::{ClockId, clock_gettime};
 
-/// What each message begins with: when it was sent.
+/// Size of the header of each message, the time of sending.
 const HEADER: usize = 8;
 
 fn main() -> eyre::Result<()> {
@@ -32,7 +32,7 @@ fn send(bytes: usize, messages: usize, period: Duration) -> eyre::Result<()> {
     let (mut node, _events) = DoraNode::init_from_env()?;
     for sequence in 0..messages {
         let parameters = MetadataParameters::default();
-        // Written in place, in shared memory, before the clock starts.
+        // The payload is written in shared memory before the clock starts.
         node.send_output_raw("frame".to_owned().into(), parameters, HEADER + bytes, |message| {
             message[HEADER..].fill(sequence as u8);
             message[..HEADER].copy_from_slice(&monotonic_ns().to_le_bytes());

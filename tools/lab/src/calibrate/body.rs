@@ -1,4 +1,4 @@
-//! `flockeye calibrate body`: where a body's markers really are, from a recording of it.
+//! `flockeye calibrate body`: the real poses of a body's markers, from a recording of the body.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -15,15 +15,14 @@ use serde_json::{Value, json};
 
 use super::{lossless, written};
 
-/// Runs the recording lossless, refines the bodies that are seen in it, and writes them.
+/// Runs the recording lossless, calibrates the bodies that are seen in it, and writes them.
 ///
 /// # Errors
-/// `flockeye up` fails, no body is seen often enough (with what is missing), or the file cannot be
-/// written.
+/// `flockeye up` fails, no body is seen often enough, or the file cannot be written.
 pub fn run(configuration: &Configuration, path: &Path) -> anyhow::Result<()> {
     let configuration = lossless(configuration)?;
     let bodies = flockeye_config::bodies(&configuration.load()?.bodies)?;
-    // First, so that an unwritable file is reported before the work.
+    // The file is opened first, so that an unwritable file is reported before the long run.
     let is_new = !path.exists();
     let file = std::fs::OpenOptions::new().create(true).append(true).open(path);
     file.with_context(|| format!("cannot write {}", path.display()))?;
@@ -33,7 +32,7 @@ pub fn run(configuration: &Configuration, path: &Path) -> anyhow::Result<()> {
     });
     match &outcome {
         Ok(()) => Screen::new().line(&format!("written to {}", path.display())),
-        // An empty file is no bodies file.
+        // The empty file that was created above is not a valid bodies file.
         Err(_) if is_new => drop(std::fs::remove_file(path)),
         Err(_) => {}
     }
@@ -112,7 +111,7 @@ fn table(calibration: &BodyCalibration) -> String {
     text
 }
 
-/// The bodies file, with the standard deviations of what was calibrated.
+/// The bodies file, with the standard deviations of calibrated markers.
 fn document(bodies: &Bodies, found: &[BodyCalibration]) -> anyhow::Result<Value> {
     let all = bodies.iter().map(|body| {
         let calibrated = found.iter().find(|found| found.body.name == body.name);

@@ -1,4 +1,4 @@
-//! `flockeye calibrate imu`: how the inertial sensor lies to the camera, and how its clock goes.
+//! `flockeye calibrate imu`: the inertial sensor's rotation and time offset relative to the camera.
 
 use std::ffi::OsString;
 use std::path::Path;
@@ -15,7 +15,7 @@ use serde_json::{Value, json};
 use super::show;
 use crate::up_process;
 
-/// Duration of the flight where the source does not end by itself.
+/// Duration of the flight if the source does not end by itself.
 const USUAL_FLIGHT: Duration = Duration::from_secs(30);
 
 /// Arguments of `calibrate imu`.
@@ -32,16 +32,17 @@ pub struct CalibrateImuArguments {
     pub json: bool,
 }
 
-/// Flies or plays with the sensor beside the picture, and prints its mounting and time offset.
+/// Runs the pipeline with the sensor, compares its rates with the picture's, and prints mounting
+/// and time offset.
 ///
 /// # Errors
-/// No sensor is configured, `flockeye up` fails, or the flight does not tell: with what is missing.
+/// No sensor is configured, `flockeye up` fails, or the flight does not determine the result.
 pub fn run(arguments: &CalibrateImuArguments) -> anyhow::Result<()> {
     let found = fly(arguments, &[])?;
     show(arguments.json, || as_json(&found), || text(&found))
 }
 
-/// The flight with `more` settings, and what it tells of sensor and camera.
+/// Runs the flight with `more` settings, and calibrates sensor and camera from it.
 pub(super) fn fly(
     arguments: &CalibrateImuArguments,
     more: &[&str],
@@ -74,16 +75,17 @@ pub(super) fn fly(
     of_files(&rotations, &samples)
 }
 
-/// Whether the run need not be in real time: a recording or a simulated flight, and no autopilot.
+/// Whether the run may differ from real time: a recording or a simulated flight without an
+/// autopilot.
 fn is_timeless(pipeline: &Pipeline) -> bool {
-    // An autopilot lives, whatever the pictures are.
+    // An autopilot always sends in real time.
     let lives = matches!(pipeline.inertial.parsed_source(), Ok(InertialSource::Mavlink(_)));
     let input = &pipeline.source.input;
     !lives && (input == "sim" || Path::new(input).exists())
 }
 
-/// Settings of the run, and how long it takes at most. A recording is played without loss to its
-/// end, a simulated flight flown without loss, and whatever lives is compared for a while.
+/// Settings of the run, and its time limit. A recording or a finite simulated flight runs to its
+/// end. Other sources run for a limited time.
 fn settings(pipeline: &Pipeline, wanted: Option<Duration>) -> (Vec<String>, Option<Duration>) {
     let is_recording = Path::new(&pipeline.source.input).exists();
     let is_simulated = pipeline.source.input == "sim";
@@ -102,7 +104,7 @@ fn of_files(rotations: &Path, samples: &Path) -> anyhow::Result<SensorCalibratio
     let record = rate_record(read(samples)?);
     let seen = rotations.iter().filter_map(|row| {
         let turn = row.turn.as_ref()?;
-        // Samples are on the frames' clock, so the pictures are taken by it too.
+        // Samples have times of the frames' clock, so the exposures are taken from the same clock.
         let step_s = row.exposure_s - turn.earlier_exposure_s;
         let turned = turn.later_from_earlier.inverse().scaled_axis();
         (step_s > 0.0).then(|| TurnSeen {

@@ -1,8 +1,8 @@
-//! `flockeye calibrate latency`: how late a camera's frames arrive, by the gyroscope.
+//! `flockeye calibrate latency`: the latency of a camera's frames, measured with the gyroscope.
 //!
-//! A camera that stamps nothing is taken to expose when its frames arrive. Picture and gyroscope
-//! see the same turning, so the time by which the picture's is late is the latency: that of a
-//! sensor whose own clock is right.
+//! Frames of a camera without timestamps are assumed to be exposed on arrival. Picture and
+//! gyroscope measure the same rotation. So the delay of the picture's rotation is the latency, if
+//! the sensor's own clock is right.
 
 use crate::calibration::sensor::SensorCalibration;
 use serde_json::{Value, json};
@@ -10,14 +10,14 @@ use serde_json::{Value, json};
 use super::imu::{self, CalibrateImuArguments};
 use super::show;
 
-/// The turning that an error is stated for, degrees a second: a drone in gusts.
+/// Angular velocity for which the error is stated, degrees/s: a drone in gusts.
 const TURNING_DEG_S: f64 = 30.0;
-/// The distance that an error is stated for, metres.
+/// Distance for which the error is stated, metres.
 const DISTANCE_M: f64 = 1.5;
-/// The speed of a neighbour that an error is stated for, metres a second.
+/// Speed of a neighbour for which the error is stated, m/s.
 const SPEED_M_S: f64 = 1.0;
 
-/// Flies with the sensor beside the picture, and prints the camera's latency.
+/// Runs the pipeline with the sensor, and prints the camera's latency.
 pub fn run(arguments: &CalibrateImuArguments) -> anyhow::Result<()> {
     let known_ms = arguments.configuration.load()?.inertial.time_offset_ms;
     let found = imu::fly(arguments, &["camera.latency_ms=0"])?;
@@ -25,13 +25,13 @@ pub fn run(arguments: &CalibrateImuArguments) -> anyhow::Result<()> {
     show(arguments.json, || as_json(&found, latency_ms), || text(&found, latency_ms))
 }
 
-/// Latency by a sensor whose own time offset is known to be `known_ms`.
+/// The latency, measured by a sensor whose own time offset is `known_ms`.
 fn latency_ms(found: &SensorCalibration, known_ms: f64) -> f64 {
     found.time_offset_s * 1e3 - known_ms
 }
 
-/// What the deviation makes of a neighbour's position, millimetres: while this drone turns, and
-/// while the neighbour flies by.
+/// Position errors of a neighbour due to the latency's deviation, millimetres: while this drone
+/// turns, and while the neighbour flies by.
 fn errors_mm(deviation_ms: f64) -> [f64; 2] {
     let deviation_s = deviation_ms * 1e-3;
     [TURNING_DEG_S.to_radians() * DISTANCE_M, SPEED_M_S].map(|speed| speed * deviation_s * 1e3)

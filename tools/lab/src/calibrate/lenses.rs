@@ -1,5 +1,5 @@
-//! `flockeye calibrate lenses`: how the camera's two lenses lie to each other, from a recording in
-//! which a body spans the seam between them.
+//! `flockeye calibrate lenses`: the relative pose of the camera's two lenses. It is measured from a
+//! recording in which a body spans the seam between them.
 
 use crate::calibration::lenses::{FoundLenses, LensCalibration, calibrate};
 use flockeye_cli::{Configuration, Screen};
@@ -9,25 +9,23 @@ use serde_json::{Value, json};
 use super::body::by_frame;
 use super::{STATED_AT_M, frame_by_frame, mount_of, written};
 
-/// Rays that scatter by more than this, in their stated standard deviations, are not explained by
-/// the lenses.
+/// Largest scatter of rays that the lenses explain, in stated standard deviations.
 const MUCH_SCATTER: f64 = 2.0;
 
-/// Runs the recording lossless, and prints how the lenses lie to each other.
+/// Runs the recording lossless, and prints the relative pose of the lenses.
 ///
 /// # Errors
-/// `flockeye up` fails, the camera has one centre, or no body spans the seam often enough (with
-/// what is missing).
+/// `flockeye up` fails, the camera has one centre, or no body spans the seam often enough.
 pub fn run(configuration: &Configuration, json: bool) -> anyhow::Result<()> {
     let configuration = frame_by_frame(configuration);
     let resolved = Resolved::of(configuration.load()?)?;
-    // First, so that a camera with one centre is refused before the work.
+    // This check is first, so that a camera with one centre is refused before the long run.
     if resolved.camera.lens_positions().is_none() {
         calibrate(&resolved.camera, &[], &[])?;
     }
     let rays = written(&configuration, "--rays", "the recording", json)?;
-    // All views of such a run are tiles: their rays are right for the distance that the camera is
-    // right for.
+    // All views of such a run are tiles. Their rays are valid for the distance for which the
+    // camera's model is valid.
     let frames = by_frame(&rays);
     let bodies: Vec<_> = resolved.bodies.iter().cloned().collect();
     let found = calibrate(&resolved.camera, &bodies, &frames)?;
@@ -63,7 +61,7 @@ fn as_json(found: &LensCalibration) -> Value {
     json
 }
 
-/// The report. `camera` is the configured one.
+/// The report. `camera` is the configured camera.
 fn text(found: &LensCalibration, camera: &CameraSettings) -> anyhow::Result<String> {
     let sides = ["ahead", "behind", "left", "right", "above", "below"];
     let seen = sides.iter().zip(found.sides).filter(|(_, count)| *count > 0);
@@ -121,7 +119,7 @@ fn text(found: &LensCalibration, camera: &CameraSettings) -> anyhow::Result<Stri
     Ok(format!("{text}for pipeline.yaml:\n{}", yaml(&found.found, camera)?))
 }
 
-/// What to paste into `pipeline.yaml`.
+/// The result as lines for `pipeline.yaml`.
 fn yaml(found: &FoundLenses, camera: &CameraSettings) -> serde_json::Result<String> {
     match found {
         FoundLenses::Distance { lens_distance_m, .. } => {
@@ -139,7 +137,7 @@ fn yaml(found: &FoundLenses, camera: &CameraSettings) -> serde_json::Result<Stri
     }
 }
 
-/// A lens as YAML in one line, without the keys that it does not have.
+/// A lens as YAML in one line, without unset keys.
 fn in_one_line(lens: &FisheyeLens) -> serde_json::Result<String> {
     let mut value = serde_json::to_value(lens)?;
     if let Some(keys) = value.as_object_mut() {

@@ -1,5 +1,4 @@
-//! `flockeye calibrate mount`: where the camera sits on the drone, from a body at places that were
-//! measured.
+//! `flockeye calibrate mount`: the camera's pose on the drone, from a body at measured places.
 
 mod bench;
 
@@ -37,11 +36,10 @@ pub struct CalibrateMountArguments {
     pub json: bool,
 }
 
-/// Measures the body's pose at each place, and prints where the camera sits.
+/// Measures the body's pose at each place, and prints the camera's pose on the drone.
 ///
 /// # Errors
-/// The file of places is wrong, `flockeye up` fails, or the places do not tell: with what is
-/// missing.
+/// The file of places is wrong, `flockeye up` fails, or the places do not determine the mount.
 pub fn run(arguments: &CalibrateMountArguments) -> anyhow::Result<()> {
     let bench: MeasuringBench = read_document(&arguments.places)?;
     let configuration = frame_by_frame(&arguments.configuration);
@@ -56,14 +54,14 @@ pub fn run(arguments: &CalibrateMountArguments) -> anyhow::Result<()> {
     show(arguments.json, || report.as_json(), || report.text())
 }
 
-/// What was found, and from what.
+/// The calibrated mount, the configured one, and the places.
 struct MountReport {
     found: MountCalibration,
     configured: Isometry3<f64>,
-    /// Places with a pose, by their numbers in the file, from 1. The mount's residuals have this
-    /// order.
+    /// Places with a pose, each with its number in the file, from 1. The mount's residuals have
+    /// this order.
     seen: Vec<(usize, StillPose)>,
-    /// Numbers of those without, from 1.
+    /// Numbers of the places without a pose, from 1.
     unseen: Vec<usize>,
 }
 
@@ -92,7 +90,7 @@ impl MountReport {
                     format!(" (body '{body}' is not seen at places {unseen:?}, counted from 1)")
                 }
             };
-            // Numbers of places are those of the file.
+            // The error counts places in the same way as the file.
             anyhow::anyhow!("{error}{missing}")
         })?;
         ensure!(found.freedom > 0, "the places leave nothing to check the mount by");

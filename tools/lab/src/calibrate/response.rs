@@ -1,4 +1,4 @@
-//! `flockeye calibrate response`: the camera's curve from light to code values, from an exposure
+//! `flockeye calibrate response`: the camera's response from light to code values, from an exposure
 //! series.
 
 use std::fmt::Write as _;
@@ -22,10 +22,10 @@ use super::show;
 const LEAST_RISE: f64 = 1e-5;
 /// Codes from one entry of the printed table to the next, in full range.
 const TABLE_STEP: usize = 5;
-/// Codes between which deviations are told: beyond, hardly anything of a marker lies.
+/// Codes for which deviations are stated. Markers have hardly any pixels beyond.
 const TOLD_CODES: std::ops::RangeInclusive<usize> = 20..=240;
-/// What errors are told for: a marker of 50 mm at 1.5 m, seen by a camera with 3840 px for the
-/// whole circle.
+/// The case for which errors are stated: a marker of 50 mm at 1.5 m, in a camera with 3840 px for
+/// 360 degrees.
 const MARKER_M: f64 = 0.05;
 const RANGE_M: f64 = 1.5;
 const PIXELS_PER_RADIAN: f64 = 3840.0 / std::f64::consts::TAU;
@@ -46,7 +46,7 @@ pub struct CalibrateResponseArguments {
     pub json: bool,
 }
 
-/// Reads which codes of the video stand for black and white.
+/// Parser of the code range: the codes of the video for black and white.
 fn ranges() -> impl TypedValueParser<Value = CodeRange> {
     let names = [
         PossibleValue::new("limited").help("16 and 235"),
@@ -58,7 +58,7 @@ fn ranges() -> impl TypedValueParser<Value = CodeRange> {
     })
 }
 
-/// Reads a picture's file and its exposure, seconds.
+/// Parses a picture's file and its exposure, seconds.
 fn picture(text: &str) -> Result<(PathBuf, f64), String> {
     let (file, exposure) =
         text.rsplit_once('=').ok_or("it must be PICTURE=SECONDS, as in a.png=1/250")?;
@@ -75,17 +75,17 @@ fn picture(text: &str) -> Result<(PathBuf, f64), String> {
     Ok((file.into(), seconds))
 }
 
-/// Measures the curve, and prints it as `pipeline.yaml` wants it.
+/// Measures the response, and prints it for `pipeline.yaml`.
 pub fn run(arguments: &CalibrateResponseArguments) -> anyhow::Result<()> {
     let found = of_pictures(&arguments.pictures, arguments.range)?;
     show(arguments.json, || found.as_json(), || found.text())
 }
 
-/// A measured curve, and how well it is known.
+/// A measured response with its errors.
 struct ResponseReport {
     response: FittedResponse,
     range: CodeRange,
-    /// Where edges would lie by the usual curves.
+    /// Shift of edges with each common response, pixels.
     usual: Vec<(&'static str, f64)>,
     pictures: usize,
 }
@@ -120,7 +120,7 @@ fn of_pictures(pictures: &[(PathBuf, f64)], range: CodeRange) -> anyhow::Result<
     Ok(ResponseReport { response, range, usual, pictures: pictures.len() })
 }
 
-/// Which picture an error speaks of; beyond all of them if it is of none.
+/// The index of the picture that caused an error; beyond all pictures if no single one did.
 fn index_of(error: &ResponseError) -> usize {
     match error {
         ResponseError::Seconds { index, .. } | ResponseError::Size { index, .. } => *index,
@@ -128,23 +128,24 @@ fn index_of(error: &ResponseError) -> usize {
     }
 }
 
-/// By how much a marker seems nearer or farther if its edges seem off by this, millimetres.
+/// The distance error of a marker whose edges are shifted by this, millimetres.
 fn range_error_mm(shift_px: f64) -> f64 {
     let side_px = MARKER_M / RANGE_M * PIXELS_PER_RADIAN;
-    // Black shrinks on both sides where white grows.
+    // Both sides of a black square move by the shift.
     1e3 * RANGE_M * 2.0 * shift_px.abs() / side_px
 }
 
 impl ResponseReport {
-    /// The curve at equal steps of the video's code, from 0 to 255. It rises from each entry to the
-    /// next.
+    /// The response at equal steps of the video's code, from 0 to 255. Each entry is larger than
+    /// the one before.
     fn table(&self) -> Vec<f64> {
         let light = &self.response.light;
         let mut table: Vec<f64> = match self.range {
             CodeRange::Full => {
                 (0..=255).step_by(TABLE_STEP).map(|code| light.between(code.into())).collect()
             }
-            // 16 is no multiple of the step. Below it nothing is darker.
+            // 16 is not a multiple of the step, so every code has an entry. Codes below 16 are
+            // black.
             CodeRange::Limited => (0..=255)
                 .map(|code| (f64::from(code) - 16.0) * 255.0 / 219.0)
                 .map(|code| if code < 0.0 { code * LEAST_RISE } else { light.between(code) })
@@ -157,7 +158,7 @@ impl ResponseReport {
         table
     }
 
-    /// The largest deviation of the codes that matter, as a share of light, and its code.
+    /// The largest deviation among [`TOLD_CODES`], as a share of light, and its code.
     fn worst(&self) -> (f64, usize) {
         let of = |code: usize| (self.response.deviations[code], code);
         TOLD_CODES.map(of).max_by(|a, b| a.0.total_cmp(&b.0)).unwrap_or((0.0, 0))
@@ -226,7 +227,7 @@ impl ResponseReport {
     }
 }
 
-/// To five significant digits.
+/// Rounds to five significant digits.
 fn rounded(value: f64) -> f64 {
     format!("{value:.4e}").parse().unwrap_or(value)
 }

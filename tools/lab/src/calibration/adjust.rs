@@ -1,4 +1,4 @@
-//! The adjustment itself.
+//! Bundle adjustment of a body's markers.
 
 use nalgebra::{
     Cholesky, DMatrix, DVector, Isometry3, Matrix2x6, Matrix6, Point3, Vector2, Vector6,
@@ -9,21 +9,21 @@ use super::gauge;
 use super::weighted_ray::{ROBUST_SCALE, WEIGHTED_SHARE, WeightedRay, by_motion, damped, moved};
 use flockeye_geometry::body::{Body, Marker};
 
-/// A marker in a frame.
+/// The rays of a marker in a frame.
 pub(super) struct MarkerSighting {
-    /// Its index: in the body at first, then among the markers that are adjusted.
+    /// Index of the marker: first in the body, later among the adjusted markers.
     pub marker: usize,
-    /// One for each corner.
+    /// One ray for each corner.
     pub rays: [WeightedRay; 4],
 }
 
-/// Everything that is adjusted together.
+/// The unknowns of the adjustment: poses of all frames and markers.
 pub(super) struct Bundle {
     pub frames: Vec<BundleFrame<MarkerSighting>>,
     pub markers_from_marker: Vec<Isometry3<f64>>,
     /// The printed corners in each marker's own frame.
     in_marker: Vec<[Point3<f64>; 4]>,
-    /// Where they were meant to be.
+    /// The corners as designed, in the markers' frame.
     designed: Vec<[Point3<f64>; 4]>,
     /// Scale of the robust cost, in stated deviations.
     scale: f64,
@@ -36,14 +36,15 @@ type MarkerEquations = Equations<Vec<(Matrix6<f64>, Vector6<f64>)>, Vec<Matrix6<
 type Steps = (Vec<Vector6<f64>>, Vec<Vector6<f64>>);
 
 impl Bundle {
-    /// A bundle of the markers `found` (indices into the body's), to which all sightings belong.
+    /// A bundle of the markers `found`, which are indices into the body's markers. Other sightings
+    /// are dropped.
     pub(super) fn new(
         body: &Body,
         found: &[usize],
         mut frames: Vec<BundleFrame<MarkerSighting>>,
     ) -> Self {
         for frame in &mut frames {
-            // Both lists are complete: every sighting is of a marker that was found.
+            // Replaces the index in the body by the index among the adjusted markers.
             frame.sightings.retain_mut(|seen| match found.binary_search(&seen.marker) {
                 Ok(index) => {
                     seen.marker = index;
@@ -67,13 +68,13 @@ impl Bundle {
         }
     }
 
-    /// Where a marker's corners are now, in the markers' frame.
+    /// The present corners of a marker, in the markers' frame.
     pub(super) fn corners(&self, marker: usize) -> [Point3<f64>; 4] {
         self.in_marker[marker].map(|corner| self.markers_from_marker[marker] * corner)
     }
 
-    /// The equations of the markers alone (Schur's complement), and what each frame takes back from
-    /// their solution.
+    /// The equations of the markers alone (Schur's complement), with the inverses that give the
+    /// frames' steps.
     fn reduced(&self, equations: &MarkerEquations, damping: f64) -> Option<Reduced> {
         let count = equations.shared.len();
         let (mut matrix, mut gradient) =
@@ -99,8 +100,8 @@ impl Bundle {
         Some(Reduced { matrix, gradient, inverses })
     }
 
-    /// A matrix of the markers alone, which does not know where the body is, held by the conditions
-    /// of [`gauge`]; with these conditions.
+    /// The factor of the markers' matrix with the conditions of [`gauge`], and these conditions.
+    /// Without them the body's pose is not determined.
     fn held(&self, matrix: DMatrix<f64>) -> Option<(Cholesky<f64, nalgebra::Dyn>, DMatrix<f64>)> {
         let corners: Vec<_> =
             (0..self.markers_from_marker.len()).map(|k| self.corners(k)).collect();
@@ -110,7 +111,7 @@ impl Bundle {
         Some((Cholesky::new(held)?, conditions))
     }
 
-    /// Brings the body as a whole to where it was designed.
+    /// Moves the whole body to its designed pose.
     pub(super) fn align(&mut self) {
         let count = self.markers_from_marker.len();
         let found: Vec<_> = (0..count).flat_map(|k| self.corners(k)).collect();
@@ -123,7 +124,7 @@ impl Bundle {
         }
     }
 
-    /// The covariance of each marker's pose with the body held in place, and the errors that remain
+    /// The covariance of each marker's pose, with the body's pose fixed, and the remaining errors
     /// in stated deviations.
     pub(super) fn covariances(&self) -> Option<(Vec<Matrix6<f64>>, f64)> {
         let equations = self.equations();
@@ -132,7 +133,7 @@ impl Bundle {
         let freedom = (2 * equations.rays).checked_sub(unknowns).filter(|&left| left > 0)?;
         let scatter = equations.squares / (WEIGHTED_SHARE * freedom as f64);
         let (held, conditions) = self.held(self.reduced(&equations, 0.0)?.matrix)?;
-        // What the conditions themselves leave open is taken out again.
+        // Removes the covariance that the conditions add.
         let by_conditions = held.solve(&conditions.transpose());
         let inner = (&conditions * &by_conditions).try_inverse()?;
         let covariance = held.inverse() - &by_conditions * inner * by_conditions.transpose();
@@ -225,7 +226,7 @@ impl Adjust for Bundle {
         equations
     }
 
-    /// The damped step of every frame and every marker, which keeps the body as a whole in place.
+    /// The damped step of every frame and every marker. It does not move the body as a whole.
     fn step(&self, equations: &MarkerEquations, damping: f64) -> Option<Steps> {
         let reduced = self.reduced(equations, damping)?;
         let solved = self.held(reduced.matrix)?.0.solve(&-reduced.gradient);
@@ -242,8 +243,8 @@ impl Adjust for Bundle {
     }
 }
 
-/// A ray's error with its derivatives by the frame's pose and by the marker's: shift, then turn
-/// about the own origin, in the camera's axes and in the markers'.
+/// A ray's error with its derivatives by the frame's pose and by the marker's pose. Each is shift,
+/// then turn about the own origin, in the camera's or the markers' axes.
 fn linearized(
     ray: &WeightedRay,
     camera_from_markers: &Isometry3<f64>,

@@ -1,16 +1,16 @@
-//! A body as it was really glued: its markers' poses from frames in which several are seen.
+//! Calibration of a body: the real poses of its markers, from frames in which several are seen.
 //!
-//! Printed and glued markers are off by a millimetre and a degree, which no pose can be better
-//! than. [`calibrate`] refines every marker's pose on the body, together with the body's pose in
-//! every frame, on all corner rays at once (bundle adjustment: Triggs, McLauchlan, Hartley,
+//! Printed and glued markers have errors of a millimetre and a degree, which limit the accuracy of
+//! every pose. [`calibrate`] refines every marker's pose on the body, together with the body's pose
+//! in every frame. It uses all corner rays at once (bundle adjustment: Triggs, McLauchlan, Hartley,
 //! Fitzgibbon, "Bundle Adjustment: A Modern Synthesis", 2000):
-//! - unknown are `camera_from_markers` of each frame and `markers_from_marker` of each marker; the
-//!   markers' printed size is known, and gives the scale;
-//! - Levenberg-Marquardt over the angular errors, with Cauchy's robust cost, whose scale follows the
-//!   errors' own spread; frames are eliminated (Schur's complement), so that what is solved is as
-//!   large as the body is;
-//! - the body as a whole is free to turn and shift: what is kept is the least squares of its corners
-//!   against the designed ones.
+//! - Unknowns are `camera_from_markers` of each frame and `markers_from_marker` of each marker. The
+//!   markers' printed size is known and gives the scale.
+//! - The solver is Levenberg-Marquardt over the angular errors with Cauchy's robust cost. The scale
+//!   of the cost follows the spread of the errors. Frames are eliminated (Schur's complement), so
+//!   the size of the system is that of the body.
+//! - Rays do not determine the pose of the body as a whole. It is the least-squares fit of the
+//!   corners to the designed ones.
 
 use nalgebra::{Isometry3, Matrix6, Vector3};
 
@@ -31,53 +31,53 @@ const LEAST_SIGHTINGS: usize = 10;
 
 type BodyFrame = BundleFrame<MarkerSighting>;
 
-/// A marker as it was found.
+/// The calibrated pose of a marker.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CalibratedMarker {
-    /// The marker where it is, as large as it was printed.
+    /// The marker at its calibrated pose, in its printed size.
     pub marker: Marker,
-    /// From the designed centre to the found one, in the markers' frame, metres.
+    /// Shift from the designed centre to the calibrated one, in the markers' frame, metres.
     pub shift_m: Vector3<f64>,
-    /// The rotation vector from the designed orientation to the found one, in the markers' frame.
+    /// Rotation vector from the designed orientation to the calibrated one, in the markers' frame.
     pub turn_rad: Vector3<f64>,
-    /// Covariance of both, shift first, from the normal matrix; enlarged where the rays scatter
-    /// more than they state.
+    /// Covariance of shift, then turn, from the normal matrix. It is enlarged if the rays scatter
+    /// more than stated.
     pub covariance: Matrix6<f64>,
-    /// Frames that it was found in.
+    /// Number of frames in which the marker was seen.
     pub frames: usize,
 }
 
 impl CalibratedMarker {
-    /// Standard deviation of its place: the root of the expected squared distance, metres.
+    /// Standard deviation of the position: the root of the expected squared distance, metres.
     pub fn shift_deviation_m(&self) -> f64 {
         position_deviation_m(&self.covariance)
     }
 
-    /// Standard deviation of its orientation: the root of the expected squared angle, radians.
+    /// Standard deviation of the orientation: the root of the expected squared angle, radians.
     pub fn turn_deviation_rad(&self) -> f64 {
         rotation_deviation_rad(&self.covariance)
     }
 }
 
-/// A body as it was found.
+/// The result for a body.
 #[derive(Debug, Clone, PartialEq)]
 pub struct BodyCalibration {
-    /// The body with its markers where they are; those that were seen too seldom, as designed.
+    /// The body with its calibrated markers. Markers that were seen too seldom stay as designed.
     pub body: Body,
-    /// The markers that were found, by rising id.
+    /// The calibrated markers, by rising id.
     pub markers: Vec<CalibratedMarker>,
-    /// Ids and numbers of frames of those seen too seldom, by rising id.
+    /// Ids and frame counts of markers that were seen too seldom, by rising id.
     pub left: Vec<(u32, usize)>,
-    /// Frames that counted.
+    /// Number of frames that were used.
     pub frames: usize,
-    /// Errors of the rays that remain, in their stated standard deviations: 1 if these are right.
+    /// Remaining errors of the rays, in stated standard deviations: 1 if these are right.
     pub scatter: f64,
 }
 
-/// Finds the markers of `body` from the rays of many frames, each with the corners that were seen
-/// in it (of this body or not, each corner as often as it was seen).
+/// Calibrates the markers of `body` from the rays of many frames. A frame contains all corners that
+/// were seen in it, also of other bodies, and each corner as often as it was seen.
 ///
-/// Frames whose pose is ambiguous do not count, nor do markers that do not fit a frame's pose.
+/// Frames with an ambiguous pose are skipped, and so are markers that do not fit a frame's pose.
 pub fn calibrate(
     body: &Body,
     frames: &[Vec<CornerRay>],
@@ -118,13 +118,13 @@ pub fn calibrate(
     Ok(BodyCalibration { body, markers, left, frames: bundle.frames.len(), scatter })
 }
 
-/// What a frame says: the body's pose, and the rays of the markers that fit it. `None` where that
-/// is fewer than two, or where another pose explains them nearly as well.
+/// The body's pose in a frame, and the rays of the markers that fit it. `None` if fewer than two
+/// markers fit, or if another pose fits nearly as well.
 fn frame(body: &Body, rays: &[CornerRay]) -> Option<BodyFrame> {
     let rays = keep_sharpest(rays);
     let solutions = solve(body, &rays).ok()?;
     let (best, others) = solutions.split_first()?;
-    // Where facets are off, no pose fits; a mirrored one is worse by much more.
+    // With misplaced facets no pose fits exactly. The mirrored pose must be much worse.
     if others.iter().any(|other| other.cost < 1.5 * best.cost + 20.0) {
         return None;
     }
@@ -143,8 +143,8 @@ fn frame(body: &Body, rays: &[CornerRay]) -> Option<BodyFrame> {
     (sightings.len() >= 2).then_some(BodyFrame { camera_from_markers, sightings })
 }
 
-/// Drops the markers that are seen too seldom, and the frames that are left with one, until nothing
-/// changes. Gives for each marker of the body the frames it is seen in.
+/// Drops markers that are seen too seldom and frames with fewer than two markers, until nothing
+/// changes. Returns for each marker of the body the number of its frames.
 fn keep_connected(
     body: &Body,
     frames: &mut Vec<BodyFrame>,
@@ -171,7 +171,7 @@ fn keep_connected(
         let (body, frames) = (body.name.clone(), frames.len());
         return Err(CalibrationError::BodySeldomSeen { body, frames, needed });
     }
-    // Spread from the first marker over all that are seen together.
+    // Marks all markers that are connected with the first one by common frames.
     let Some(first) = counts.iter().position(|&n| n > 0) else { return Ok(at_first) };
     let mut reached = vec![false; counts.len()];
     reached[first] = true;
@@ -193,7 +193,7 @@ fn keep_connected(
         let (body, with, needed) = (body.name.clone(), id(first), LEAST_SIGHTINGS);
         return Err(CalibrationError::MarkersApart { body, apart, with, needed });
     }
-    // Dropped markers keep the number that was too small.
+    // Dropped markers keep their count, which was too small.
     let kept = counts.iter().zip(&at_first);
     let seldom = LEAST_SIGHTINGS - 1;
     Ok(kept.map(|(&now, &before)| if now > 0 { now } else { before.min(seldom) }).collect())

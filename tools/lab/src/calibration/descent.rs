@@ -1,4 +1,4 @@
-//! Levenberg-Marquardt with a robust scale, as all adjustments of rays do it.
+//! Levenberg-Marquardt with a robust cost, common to all adjustments of rays.
 
 use nalgebra::{DMatrix, DVector, Isometry3, Matrix6, Vector2, Vector6};
 
@@ -7,31 +7,31 @@ use super::weighted_ray::{ROBUST_SCALE, cauchy, spread};
 /// Most steps for one scale, and most scales.
 const MAX_STEPS: usize = 60;
 const MAX_SCALES: usize = 12;
-/// The damping at first, and the least and the largest.
+/// The first, the least and the largest damping.
 const FIRST_DAMPING: f64 = 1e-4;
 const LEAST_DAMPING: f64 = 1e-12;
 const LARGEST_DAMPING: f64 = 1e6;
-/// A step that lowers the cost by a smaller share is the last.
+/// The descent ends after a step that lowers the cost by a smaller share than this.
 const LEAST_GAIN: f64 = 1e-9;
 
-/// A frame in which markers of the body are seen.
+/// A frame with the body's pose and the sightings of its markers.
 pub(super) struct BundleFrame<Sighting> {
     pub camera_from_markers: Isometry3<f64>,
     pub sightings: Vec<Sighting>,
 }
 
-/// The normal equations, with the frames' part kept apart.
+/// The normal equations, with separate blocks for the frames.
 pub(super) struct Equations<Shared, Joint> {
-    /// What all frames share: the markers, or the lenses.
+    /// Block of the unknowns that all frames share: the markers or the lenses.
     pub shared: Shared,
-    /// Each frame's own block, its gradient, and the block that joins it with what is shared.
+    /// Block of each frame, its gradient, and the block that joins it with the shared unknowns.
     pub frames: Vec<(Matrix6<f64>, Vector6<f64>, Joint)>,
     /// Sum of weighted squared errors, and number of rays.
     pub squares: f64,
     pub rays: usize,
 }
 
-/// The equations of what is shared alone (Schur's complement).
+/// The equations of the shared unknowns alone (Schur's complement).
 pub(super) struct Reduced {
     pub matrix: DMatrix<f64>,
     pub gradient: DVector<f64>,
@@ -39,7 +39,7 @@ pub(super) struct Reduced {
     pub inverses: Vec<Matrix6<f64>>,
 }
 
-/// Something with unknowns that rays tell.
+/// An adjustment: unknowns that are estimated from rays.
 pub(super) trait Adjust {
     /// The normal equations, reweighted for the robust cost.
     type Equations;
@@ -54,16 +54,17 @@ pub(super) trait Adjust {
     fn set_scale(&mut self, scale: f64);
     /// The equations at the present unknowns.
     fn equations(&self) -> Self::Equations;
-    /// The damped step that they ask for; `None` where they have no solution.
+    /// The damped step from the equations; `None` if they have no solution.
     fn step(&self, equations: &Self::Equations, damping: f64) -> Option<Self::Step>;
     /// Takes a step.
     fn take(&mut self, step: &Self::Step);
     /// The present unknowns.
     fn unknowns(&self) -> Self::Unknowns;
-    /// Goes back to former ones.
+    /// Restores former unknowns.
     fn restore(&mut self, unknowns: Self::Unknowns);
 
-    /// Finds the unknowns at which the robust cost is least. Its scale follows the errors' spread.
+    /// Finds the unknowns with the least robust cost. The scale of the cost follows the spread of
+    /// the errors.
     fn adjust(&mut self) {
         for _ in 0..MAX_SCALES {
             let before = self.scale();
@@ -80,7 +81,7 @@ pub(super) trait Adjust {
         self.errors().map(|error| cauchy(error.norm_squared(), self.scale())).sum()
     }
 
-    /// Descends with one scale.
+    /// Descends with a fixed scale.
     fn descend(&mut self) {
         let mut damping = FIRST_DAMPING;
         let (mut equations, mut cost) = (self.equations(), self.cost());

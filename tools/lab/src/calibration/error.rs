@@ -1,16 +1,16 @@
-//! Why nothing can be calibrated, with its cure.
+//! Errors of calibrations, with their cures.
 
-/// Fewest places that tell a mount.
+/// Fewest places that determine a mount.
 pub(super) const LEAST_PLACES: usize = 3;
-/// Time offsets between picture and sensor are searched up to this, either way, seconds.
+/// Largest time offset between picture and sensor that is searched, in both directions, seconds.
 pub(super) const SEARCHED_S: f64 = 0.8;
-/// Fewest frames of both picture and sensor that can be calibrated from.
+/// Fewest frames with both picture and sensor data for a calibration.
 pub(super) const LEAST_FRAMES: usize = 30;
 
-/// Why nothing can be calibrated.
+/// The reason why a calibration is impossible.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum CalibrationError {
-    /// Too few frames tell where the markers of a body are relative to each other.
+    /// Too few frames show two or more markers of a body.
     #[error(
         "body '{body}' was seen with two markers or more in {frames} frames; {needed} are needed. \
          Cure: record longer and nearer, so that several markers are read in each frame"
@@ -28,7 +28,7 @@ pub enum CalibrationError {
          more sides"
     )]
     BodyUndetermined { body: String },
-    /// A camera model in which there are no two lenses.
+    /// A camera model without two lenses.
     #[error(
         "a camera of this projection has one centre. Cure: camera.projection equirectangular or dual_fisheye, if \
          it has two lenses"
@@ -41,19 +41,19 @@ pub enum CalibrationError {
          some right of it, or use a larger body"
     )]
     SeamSeldomSpanned { frames: usize, needed: usize },
-    /// Frames that leave something of the lenses open: what is known worst, and how well.
+    /// Frames that do not determine the lenses: the least certain quantity, and its deviation.
     #[error(
         "the frames leave the lenses open: {what} would be known to +- {deviation:.1} {unit} only. Cure: carry \
          the body across the seam at several places round it (left, right, above, below), near and far"
     )]
     LensesUndetermined { what: &'static str, deviation: f64, unit: &'static str },
-    /// Fewer places than tell a mount.
+    /// Fewer places than a mount needs.
     #[error(
         "{places} places with a pose; {LEAST_PLACES} or more are needed. Cure: put the body at more places, \
          where the camera sees it"
     )]
     TooFewPlaces { places: usize },
-    /// Places on a line, or too near to each other.
+    /// Places on a line or too near to each other, so that a turn of the camera is not determined.
     #[error(
         "the places lie too near to one line, or to each other: they would tell the camera's turn about \
          ({:.2}, {:.2}, {:.2}) to +- {deviation_deg:.1} degrees only. Cure: put the body on several sides of \
@@ -61,16 +61,16 @@ pub enum CalibrationError {
         axis[0], axis[1], axis[2]
     )]
     MountUndetermined {
-        /// The axis in the drone's frame about which the turn is known worst.
+        /// The axis of the least certain turn, in the drone's frame.
         axis: [f64; 3],
         deviation_deg: f64,
     },
-    /// A place, counted from 1, that is none.
+    /// A place, counted from 1, with an invalid number.
     #[error(
         "place {place} (counted from 1): its position, deviation or pose is no number above 0. Cure: correct it"
     )]
     PlaceWithoutNumber { place: usize },
-    /// Too little was recorded by both picture and sensor.
+    /// Too few frames have both picture and sensor data.
     #[error(
         "picture and sensor have {found} frames in common, {LEAST_FRAMES} are needed: is the sensor sending?"
     )]
@@ -81,7 +81,7 @@ pub enum CalibrationError {
          % of the rates' variation is left): is it on this drone, and was the drone turned?"
     )]
     SensorUnrelated {
-        /// Percent of the variation that is left.
+        /// Remaining share of the variation, percent.
         left: f64,
     },
     /// One or three axes of the sensor have the wrong sign.

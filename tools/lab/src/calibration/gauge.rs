@@ -1,9 +1,9 @@
-//! Which body of all those that are the same but for their frame.
+//! The gauge of an adjustment: it fixes the pose of the whole body, which rays do not determine.
 
 use nalgebra::{DMatrix, Isometry3, Matrix3, Point3, Rotation3, UnitQuaternion, Vector3};
 
-/// The motion of `from` that brings its points nearest to those of `onto`, in the sense of least
-/// squares (Kabsch, "A solution for the best rotation to relate two sets of vectors", 1976).
+/// The least-squares motion that moves the points `from` onto the points `onto` (Kabsch, "A
+/// solution for the best rotation to relate two sets of vectors", 1976).
 pub fn alignment(from: &[Point3<f64>], onto: &[Point3<f64>]) -> Isometry3<f64> {
     let middle = |points: &[Point3<f64>]| {
         points.iter().map(|p| p.coords).sum::<Vector3<f64>>() / points.len().max(1) as f64
@@ -23,8 +23,8 @@ pub fn alignment(from: &[Point3<f64>], onto: &[Point3<f64>]) -> Isometry3<f64> {
     Isometry3::from_parts((onto_middle - rotation * from_middle).into(), rotation)
 }
 
-/// The six conditions of that alignment on small changes: rows by parameters, three of shift and
-/// three of turn (about its own centre) for each marker, given its corners.
+/// The six conditions of that alignment for small changes: a row each. Its columns are three of
+/// shift and three of turn about the own centre for each marker, whose corners are given.
 pub(super) fn conditions(markers: &[[Point3<f64>; 4]]) -> DMatrix<f64> {
     let size = (markers.iter().flatten().map(|p| p.coords.norm_squared()).sum::<f64>()
         / (4 * markers.len().max(1)) as f64)
@@ -34,7 +34,8 @@ pub(super) fn conditions(markers: &[[Point3<f64>; 4]]) -> DMatrix<f64> {
     for (k, corners) in markers.iter().enumerate() {
         let centre = corners.iter().map(|p| p.coords).sum::<Vector3<f64>>() / 4.0;
         for corner in corners {
-            // The corner moves by shift + turn x arm; all corners' moves have no sum and no moment.
+            // A corner moves by shift + turn x arm. The sum and the moment of all corners' moves
+            // are 0.
             let by_turn = -(corner.coords - centre).cross_matrix();
             let moment = corner.coords.cross_matrix() / size;
             let mut add = |row: usize, column: usize, block: &Matrix3<f64>| {

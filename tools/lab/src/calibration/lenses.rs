@@ -1,14 +1,14 @@
-//! How the two lenses of a camera lie to each other: from frames in which a body spans the seam
-//! between them.
+//! The relative pose of a camera's two lenses, from frames in which a body spans the seam between
+//! them.
 //!
-//! In such a frame some markers of a body are seen by one lens, others by the other one. The body
-//! is rigid, so both must see it at one pose. [`calibrate`] adjusts the body's pose in every frame
-//! together with what the camera's model has for its lenses: the distance between them (a stitched
-//! image), or the pose of the second lens (two fisheyes, where the first stays). Nothing is assumed
-//! about how the body or the camera moves.
+//! In such a frame each lens sees some markers of a body. The body is rigid, so both lenses must
+//! see it at one pose. [`calibrate`] adjusts the body's pose in every frame together with the
+//! model's unknowns. For a stitched image this is the distance between the lenses. For two fisheyes
+//! it is the pose of the second lens relative to the first. Nothing is assumed about the motion of
+//! the body or the camera.
 //!
-//! A shift and a turn of the second lens do the same to a body at one place of the seam. They
-//! differ where the body is seen at several places round the seam, or at several distances.
+//! A shift and a turn of the second lens have the same effect on a body at one place of the seam.
+//! Bodies at several places round the seam, or at several distances, distinguish the two.
 
 mod adjust;
 
@@ -26,75 +26,77 @@ use flockeye_geometry::statistics::median;
 
 /// Fewest frames in which a body spans the seam.
 const LEAST_FRAMES: usize = 12;
-/// A corner nearer to the seam than this is not used, radians: the other lens' picture reaches into
-/// its edges.
+/// Corners nearer to the seam than this are not used, radians: their edges contain pixels of the
+/// other lens.
 const SEAM_MARGIN_RAD: f64 = 0.01;
-/// What the other lens sees farther from where the body must be than this is another thing,
-/// radians.
+/// Largest angle between a ray of the other lens and the body's corner, radians. Beyond, it is
+/// another object.
 const FARTHEST_RAD: f64 = 0.15;
-/// Two poses of a body that are turned by less than this are the same, radians.
+/// Largest angle between two poses that count as the same, radians.
 const SAME_TURN_RAD: f64 = 0.3;
-/// A pose is clear if any other one puts what the other lens sees so many times farther off.
+/// A pose is clear if every other one has an error in the other lens that is larger by this factor.
 const CLEARLY: f64 = 2.0;
-/// What is known worse than this is not known: metres, and radians.
+/// Largest standard deviations of a valid result: metres, and radians.
 const WORST_SHIFT_M: f64 = 0.005;
 const WORST_TURN_RAD: f64 = 0.009;
 
-/// What the model has of its lenses, as it was found.
+/// The calibrated unknowns of the camera model.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[expect(clippy::large_enum_variant, reason = "there is one for each calibration")]
 pub enum FoundLenses {
     /// The distance between the two lenses of a stitched image.
     Distance {
-        /// Metres.
+        /// The distance, metres.
         lens_distance_m: f64,
-        /// Its standard deviation, metres.
+        /// Standard deviation of the distance, metres.
         deviation_m: f64,
     },
-    /// Where the second fisheye lens sits if the first is where it was configured.
+    /// The pose of the second fisheye lens, with the first one as configured.
     Second {
-        /// Its pose in the camera.
+        /// The lens' pose in the camera frame.
         camera_from_lens: Isometry3<f64>,
-        /// Its covariance: position (m), then rotation vector (rad), both in the camera's axes.
+        /// Covariance of the pose: position (m), then rotation vector (rad), both in the camera's
+        /// axes.
         covariance: Matrix6<f64>,
     },
 }
 
-/// Lenses as they were found.
+/// The result for the lenses.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LensCalibration {
-    /// Theirs, with the deviations enlarged where rays scatter more than they state.
+    /// The calibrated unknowns. Their deviations are enlarged if rays scatter more than stated.
     pub found: FoundLenses,
-    /// From what was configured: shift (m), then rotation vector (rad) of the second lens against
-    /// the first, in the camera's axes.
+    /// Change from the configured lenses: shift (m), then rotation vector (rad) of the second lens
+    /// relative to the first, in the camera's axes.
     pub change: Vector6<f64>,
-    /// Frames that counted; a frame with two bodies across the seam counts twice.
+    /// Number of frames that were used. A frame with two bodies across the seam counts twice.
     pub frames: usize,
-    /// Frames that fit no pose, and do not count.
+    /// Number of frames that fit no pose and were left out.
     pub left_out: usize,
-    /// Where on the seam the bodies were: ahead, back, left, right, above, below.
+    /// Numbers of frames by the body's place on the seam: ahead, back, left, right, above, below.
     pub sides: [usize; 6],
-    /// Errors of the rays that remain, in their stated standard deviations: 1 if these and the
-    /// model are right.
+    /// Remaining errors of the rays, in stated standard deviations: 1 if these and the model are
+    /// right.
     pub scatter: f64,
     /// Scatter with the lenses as configured.
     pub scatter_before: f64,
-    /// Covariance of the second lens' pose against the first: as `change`.
+    /// Covariance of `change`.
     covariance: Matrix6<f64>,
-    /// What the second lens' axis looks along, in the camera's axes.
+    /// Direction of the second lens' optical axis, in the camera's axes.
     second_axis: Vector3<f64>,
-    /// Share of the change by which a lens is off the camera's middle: 1/2 where both lenses move.
+    /// Share of the change that moves one lens relative to the camera's middle: 1/2 if both lenses
+    /// move.
     share: f64,
 }
 
 impl LensCalibration {
-    /// What the uncertainty makes of the position of a neighbour that the second lens sees this far
-    /// away, in the worst direction: the root of the expected squared error, metres.
+    /// Position error of a neighbour at this distance in the second lens, in the worst direction,
+    /// due to the covariance. It is the root of the expected squared error, metres.
     pub fn error_at_m(&self, distance_m: f64) -> f64 {
         self.share * self.worst(&self.covariance, distance_m / self.share)
     }
 
-    /// By how much the lenses as configured put such a neighbour elsewhere, metres.
+    /// Position error of such a neighbour with the lenses as configured, metres.
     pub fn configured_error_at_m(&self, distance_m: f64) -> f64 {
         let squared = self.change * self.change.transpose();
         self.share * self.worst(&squared, distance_m / self.share)
@@ -105,11 +107,11 @@ impl LensCalibration {
     }
 }
 
-/// Finds how the lenses of `camera` lie to each other from the rays of many frames, each with the
-/// corners that were seen in it. Rays are right for the distance that `camera` is right for.
+/// Finds the relative pose of the lenses of `camera` from the rays of many frames. Rays are valid
+/// for the distance for which `camera` is valid.
 ///
-/// Frames in which no body spans the seam say nothing and do not count, nor do markers across or
-/// next to the seam, nor frames whose pose is ambiguous.
+/// Skipped are frames in which no body spans the seam, frames with an ambiguous pose, and markers
+/// across or next to the seam.
 pub fn calibrate(
     camera: &Camera,
     bodies: &[Body],
@@ -190,7 +192,7 @@ fn undetermined(shift_m: f64, turn_rad: f64) -> CalibrationError {
     CalibrationError::LensesUndetermined { what, deviation, unit }
 }
 
-/// Where on the seam the bodies were: ahead, back, left, right, above, below.
+/// Numbers of frames by the body's place on the seam: ahead, back, left, right, above, below.
 fn sides(frames: &[SeamFrame]) -> [usize; 6] {
     let mut sides = [0; 6];
     for frame in frames {
@@ -201,8 +203,8 @@ fn sides(frames: &[SeamFrame]) -> [usize; 6] {
     sides
 }
 
-/// What a frame says of a body: its pose by the lens that sees more of it, and what each lens sees.
-/// `None` where only one sees it, or where its pose is ambiguous.
+/// A body's pose in a frame, by the lens that sees more of it, and its sightings in each lens.
+/// `None` if only one lens sees it, or if the pose is ambiguous.
 fn seam_frame(
     camera: &Camera,
     positions: &[Vector3<f64>; 2],
@@ -225,7 +227,7 @@ fn seam_frame(
     let least = solutions.first()?.cost;
     let candidates: Vec<PoseCandidate<'_>> = solutions
         .iter()
-        // What the first lens itself refutes is no candidate.
+        // Poses that do not fit the first lens are no candidates.
         .take_while(|solution| solution.cost < 1.5 * least + 20.0)
         .map(|solution| {
             let mut camera_from_markers = solution.camera_from_markers;
@@ -264,24 +266,24 @@ fn seam_frame(
     (is_seen(0) && is_seen(1)).then_some(SeamFrame { camera_from_markers, sightings })
 }
 
-/// The rays, marker by marker.
+/// The rays, grouped by marker.
 fn markers(rays: &[CornerRay]) -> impl Iterator<Item = &[CornerRay]> {
     rays.chunk_by(|a, b| a.marker_id == b.marker_id)
 }
 
-/// A pose by one lens, and where it puts what the other one sees.
+/// A pose by one lens, with its errors in the other lens.
 struct PoseCandidate<'a> {
     camera_from_markers: Isometry3<f64>,
     inliers: &'a [u32],
-    /// Corners of the other lens' markers that are about where it puts them, and how far off these
-    /// are.
+    /// Number of the other lens' corners near their expected directions, and the median of their
+    /// angles, radians.
     near: usize,
     off_rad: f64,
 }
 
-/// The candidate that puts most of what the other lens sees to about where it is. `None` if there
-/// is none, or if another one, turned otherwise, does about as well: a few markers in one plane
-/// have a mirrored pose.
+/// The candidate that explains most corners of the other lens. `None` if there is none, or if a
+/// candidate with another rotation is nearly as good. A few markers in one plane have a mirrored
+/// pose.
 fn clearly_nearest<'a, 'b>(candidates: &'a [PoseCandidate<'b>]) -> Option<&'a PoseCandidate<'b>> {
     let rank = |a: &&PoseCandidate<'_>, b: &&PoseCandidate<'_>| {
         b.near.cmp(&a.near).then(a.off_rad.total_cmp(&b.off_rad))
@@ -296,8 +298,8 @@ fn clearly_nearest<'a, 'b>(candidates: &'a [PoseCandidate<'b>]) -> Option<&'a Po
     (!rivals).then_some(best)
 }
 
-/// Angles between the rays of a marker and where a pose puts its corners, seen from a lens. `None`
-/// if one of them is so large that it is another thing.
+/// Angles between the rays of a marker and its corners at a pose, seen from a lens. `None` if one
+/// of them exceeds [`FARTHEST_RAD`].
 fn angles(
     body: &Body,
     camera_from_markers: &Isometry3<f64>,
@@ -312,8 +314,8 @@ fn angles(
     marker.iter().map(angle).collect()
 }
 
-/// The four corners of a marker as the lens sees them that sees all of it, with rays from that lens
-/// in the camera's axes. `None` for a marker across the seam, or next to it.
+/// The lens that sees the whole marker, and the four rays from that lens in the camera's axes.
+/// `None` for a marker across the seam or next to it.
 fn by_one_lens(camera: &Camera, marker: &[CornerRay]) -> Option<(usize, Vec<CornerRay>)> {
     let seen: Option<Vec<LensRay>> =
         marker.iter().map(|ray| camera.lens_ray(&ray.ray_in_camera)).collect();

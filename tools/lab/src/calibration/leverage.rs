@@ -1,20 +1,20 @@
-//! What an uncertain transform makes of a thing some distance away.
+//! The position error at a distance due to an uncertain transform.
 
 use std::f64::consts::PI;
 
 use nalgebra::{Matrix3, Matrix6, Vector3};
 
-/// Directions that are tried.
+/// Number of directions that are tried.
 const DIRECTIONS: u32 = 2000;
-/// The angle from one to the next round the axis: pi (3 - sqrt 5), radians.
+/// Angle from one direction to the next about the axis: pi (3 - sqrt 5), radians.
 const GOLDEN_ANGLE: f64 = 2.399_963_229_728_653;
 
-/// How far off a thing at `distance_m` from a transform's source is seen, in the worst direction:
-/// the root of the expected squared distance, metres.
+/// The position error of an object at `distance_m` from a transform's source, in the worst
+/// direction. It is the root of the expected squared distance, metres.
 ///
-/// `covariance` is the transform's: position (m), then rotation vector (rad) about the source's
-/// origin, both in the target's axes. For one known error `e` instead, it is `e * e.transpose()`.
-/// Only directions that `is_seen` (unit vectors in the target's axes) count.
+/// `covariance` is that of the transform: position (m), then rotation vector (rad) about the
+/// source's origin, both in the target's axes. For one known error `e` it is `e * e.transpose()`.
+/// Only directions with `is_seen` count, unit vectors in the target's axes.
 pub fn worst_error_m(
     covariance: &Matrix6<f64>,
     distance_m: f64,

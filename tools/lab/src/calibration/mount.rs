@@ -1,10 +1,10 @@
-//! Where the camera sits on the drone: from a body at places that were measured on the bench.
+//! The camera's pose on the drone, from a body at measured places.
 //!
-//! A body stands at places whose position in the drone's frame is known, and the camera measures
-//! its pose at each. [`fit`] finds `observer_from_camera`: a rigid alignment as start, then
-//! Gauss-Newton over its six parameters. Errors are weighted by both covariances, that of the
-//! measured pose turned into the drone's frame and that of the measured place. A place that
-//! contradicts all others is left out and named.
+//! A body stands at places with known positions in the drone's frame, and the camera measures its
+//! pose at each. [`fit`] finds `observer_from_camera` by a rigid alignment, then Gauss-Newton over
+//! six parameters. Residuals are weighted by two covariances: that of the measured pose, turned
+//! into the drone's frame, and that of the measured place. A place that contradicts all others is
+//! left out and reported.
 
 mod still;
 
@@ -17,69 +17,69 @@ use super::weighted_ray::{difference, moved};
 use flockeye_geometry::filter::chi_square_quantile;
 pub use still::{StillPose, still_pose};
 
-/// A turn known worse than this is not known, degrees.
+/// Largest standard deviation of a determined turn, degrees.
 const WORST_TURN_DEG: f64 = 2.0;
-/// Places disagree if their chi-square is larger than right ones' with this probability.
+/// Probability that the chi-square of correct places is below the limit for disagreement.
 const AGREEING: f64 = 0.999;
-/// At least this share of the places is kept.
+/// Least share of the places that is kept.
 const KEPT_SHARE: f64 = 2.0 / 3.0;
 /// Most steps.
 const MAX_STEPS: usize = 50;
 
-/// A body at a place that was measured.
+/// A body at a measured place.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MeasuredPlace {
-    /// The body's pose as the camera measured it.
+    /// The body's pose, measured by the camera.
     pub seen: StillPose,
-    /// Where the body's origin was in the drone's frame, metres.
+    /// Position of the body's origin in the drone's frame, metres.
     pub in_observer: Point3<f64>,
-    /// Standard deviation of that along each axis, metres.
+    /// Standard deviation of the position along each axis, metres.
     pub deviation_m: f64,
-    /// How the body was turned in the drone's frame, with the standard deviation about each axis
-    /// (rad), if that was measured.
+    /// Orientation of the body in the drone's frame, with the standard deviation about each axis
+    /// (rad); `None` if not measured.
     pub orientation: Option<(UnitQuaternion<f64>, f64)>,
 }
 
-/// What is left at a place.
+/// The residual at a place.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PlaceResidual {
-    /// From where the camera sees the body to where it was, in the drone's frame, metres.
+    /// Residual from the position by the camera to the measured one, in the drone's frame, metres.
     pub residual_m: Vector3<f64>,
-    /// What that is expected to be: the root of the expected squared distance, metres.
+    /// Expected size of the residual: the root of the expected squared distance, metres.
     pub deviation_m: f64,
-    /// The whole residual, with that of the orientation if it was measured, in stated standard
-    /// deviations: 1 on average if these are right.
+    /// The whole residual in stated standard deviations, with the orientation if it was measured.
+    /// The mean is 1 if the deviations are right.
     pub deviations: f64,
-    /// Whether the place counted.
+    /// Whether the place was used.
     pub is_kept: bool,
 }
 
-/// Whether the places agree as well as was stated.
+/// Comparison of the residuals with the stated deviations.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Agreement {
-    /// As well as stated.
+    /// Residuals are as large as stated.
     AsStated,
-    /// Better: places or poses were measured better than stated.
+    /// Residuals are smaller: places or poses were measured better than stated.
     Better,
-    /// Worse: something is off by more than stated. The mount's covariance was enlarged.
+    /// Residuals are larger: an error is larger than stated. The mount's covariance was enlarged.
     Worse,
 }
 
-/// A mount as it was found.
+/// The calibrated mount.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MountCalibration {
-    /// Where the camera sits.
+    /// The camera's pose on the drone.
     pub observer_from_camera: Isometry3<f64>,
-    /// Its covariance: position (m), then rotation vector (rad), both in the drone's axes. Enlarged
-    /// where the places agree worse than stated.
+    /// Covariance of the pose: position (m), then rotation vector (rad), both in the drone's axes.
+    /// It is enlarged if residuals are larger than stated.
     pub covariance: Matrix6<f64>,
-    /// What is left at each place, in the given order.
+    /// The residual at each place, in the given order.
     pub places: Vec<PlaceResidual>,
-    /// Sum of the squared residuals of the places that counted, in stated variances.
+    /// Sum of the squared residuals of the used places, in stated variances.
     pub chi_square: f64,
-    /// Its degrees of freedom: what it is on average.
+    /// Degrees of freedom, which is the expected chi-square.
     pub freedom: usize,
-    /// Whether that is too much.
+    /// Whether the chi-square is as expected.
     pub agreement: Agreement,
 }
 
@@ -90,21 +90,21 @@ impl MountCalibration {
         self.covariance.diagonal().map(f64::sqrt).into()
     }
 
-    /// What the mount's uncertainty makes of a neighbour's position this far away, in the worst
-    /// direction: the root of the expected squared error, metres.
+    /// Position error of a neighbour at this distance, in the worst direction, due to the
+    /// covariance. It is the root of the expected squared error, metres.
     pub fn error_at_m(&self, distance_m: f64) -> f64 {
         worst_error_m(&self.covariance, distance_m, |_| true)
     }
 
-    /// By how much another mount than the found one puts a neighbour this far away elsewhere, in
-    /// the worst direction, metres.
+    /// Position error of a neighbour at this distance with another mount than the calibrated one,
+    /// in the worst direction, metres.
     pub fn error_of_m(&self, other: &Isometry3<f64>, distance_m: f64) -> f64 {
         let error = difference(&self.observer_from_camera, other);
         worst_error_m(&(error * error.transpose()), distance_m, |_| true)
     }
 }
 
-/// The covariance of a pose, position then rotation vector, with both in other axes.
+/// The covariance of a pose (position, then rotation vector) in other axes.
 pub fn turned_covariance(turn: &UnitQuaternion<f64>, covariance: &Matrix6<f64>) -> Matrix6<f64> {
     let rotation = turn.to_rotation_matrix();
     let mut both = Matrix6::zeros();
@@ -113,7 +113,7 @@ pub fn turned_covariance(turn: &UnitQuaternion<f64>, covariance: &Matrix6<f64>) 
     both * covariance * both.transpose()
 }
 
-/// Finds where the camera sits.
+/// Finds the camera's pose on the drone.
 pub fn fit(places: &[MeasuredPlace]) -> Result<MountCalibration, CalibrationError> {
     if places.len() < LEAST_PLACES {
         return Err(CalibrationError::TooFewPlaces { places: places.len() });
@@ -154,15 +154,15 @@ pub fn fit(places: &[MeasuredPlace]) -> Result<MountCalibration, CalibrationErro
     })
 }
 
-/// Numbers measured, less six.
+/// Degrees of freedom: the number of measured values minus the six parameters.
 fn freedom(places: &[MeasuredPlace], kept: &[bool]) -> usize {
     let rows = |place: &MeasuredPlace| if place.orientation.is_some() { 6 } else { 3 };
     let kept = places.iter().zip(kept).filter(|(_, is_kept)| **is_kept);
     kept.map(|(place, _)| rows(place)).sum::<usize>().saturating_sub(6)
 }
 
-/// Which places count. All do if they agree, or if no few of them explain that they do not. Else
-/// the one without which the others agree best is left out, and so on.
+/// Flags of the places that are used. All are used if they agree, or if no small set explains the
+/// disagreement. Otherwise the place whose removal helps most is left out, repeatedly.
 fn agreeing(places: &[MeasuredPlace]) -> Result<Vec<bool>, CalibrationError> {
     let all = vec![true; places.len()];
     let limit = |kept: &[bool]| chi_square_quantile(freedom(places, kept) as f64, AGREEING);
@@ -176,7 +176,7 @@ fn agreeing(places: &[MeasuredPlace]) -> Result<Vec<bool>, CalibrationError> {
         for place in (0..places.len()).filter(|&place| kept[place]) {
             let mut fewer = kept.clone();
             fewer[place] = false;
-            // Places that are not enough without this one say nothing about it.
+            // Without this place the others do not determine the mount, so it cannot be judged.
             if let Ok((_, _, chi_square)) = fit_kept(places, &fewer) {
                 without.push((chi_square / limit(&fewer), place));
             }
@@ -185,7 +185,7 @@ fn agreeing(places: &[MeasuredPlace]) -> Result<Vec<bool>, CalibrationError> {
         let Some(&(best, place)) = without.first() else { break };
         kept[place] = false;
         if best <= 1.0 {
-            // Where another one would do as well, nobody knows which of them is wrong.
+            // If the removal of another place helps as much, the wrong one is not known.
             let is_clear = without.get(1).is_none_or(|second| second.0 > 1.0);
             return Ok(if is_clear { kept } else { all });
         }
@@ -193,7 +193,7 @@ fn agreeing(places: &[MeasuredPlace]) -> Result<Vec<bool>, CalibrationError> {
     Ok(all)
 }
 
-/// The mount by the places that are kept, with its covariance and its chi-square.
+/// The mount from the kept places, with its covariance and its chi-square.
 fn fit_kept(
     places: &[MeasuredPlace],
     kept: &[bool],
@@ -214,7 +214,8 @@ fn fit_kept(
             break;
         }
     }
-    // A line leaves the turn about it open: then the normal matrix has no inverse, or a huge one.
+    // Places on a line do not determine the turn about it. Then the normal matrix has no inverse,
+    // or a huge one.
     let turn = turns_information(&normal);
     let eigen = turn.symmetric_eigen();
     let worst = eigen.eigenvalues.imin();
@@ -228,7 +229,7 @@ fn fit_kept(
     }
 }
 
-/// What is known of the turn alone, the shift being unknown (Schur's complement).
+/// Information matrix of the turn alone, with an unknown shift (Schur's complement).
 fn turns_information(normal: &Matrix6<f64>) -> Matrix3<f64> {
     let block = |row: usize, column: usize| -> Matrix3<f64> {
         normal.fixed_view::<3, 3>(row, column).into_owned()
@@ -247,7 +248,7 @@ fn equations(
     for place in places {
         let (residual, information) = (place.residual(mount), place.information(mount));
         let arm = mount.rotation * place.seen.camera_from_target.translation.vector;
-        // A shift moves what is seen, a turn moves it by turn x arm and turns it.
+        // A shift moves the seen pose. A turn moves it by turn x arm, and turns it.
         let mut by_mount = -Matrix6::<f64>::identity();
         by_mount.fixed_view_mut::<3, 3>(0, 3).copy_from(&arm.cross_matrix());
         normal += by_mount.transpose() * information * by_mount;
@@ -269,8 +270,8 @@ impl MeasuredPlace {
             && covariance.symmetric_eigenvalues().min() >= -1e-12
     }
 
-    /// From what is seen to what was measured: shift, then turn, in the drone's axes. Without a
-    /// measured orientation the turn is 0.
+    /// The residual from the seen pose to the measured one: shift, then turn, in the drone's axes.
+    /// Without a measured orientation the turn is 0.
     fn residual(&self, mount: &Isometry3<f64>) -> Vector6<f64> {
         let seen = mount * self.seen.camera_from_target;
         let measured = Isometry3::from_parts(
@@ -280,7 +281,7 @@ impl MeasuredPlace {
         difference(&seen, &measured)
     }
 
-    /// The residual's covariance, if all is as stated.
+    /// The residual's covariance if all deviations are as stated.
     fn expected(&self, mount: &Isometry3<f64>) -> Matrix6<f64> {
         let mut expected = turned_covariance(&mount.rotation, &self.seen.covariance);
         let turn_rad = self.orientation.map_or(0.0, |(_, deviation)| deviation);
@@ -291,7 +292,7 @@ impl MeasuredPlace {
         expected
     }
 
-    /// Its inverse; without a measured orientation, of the position alone.
+    /// The inverse of that covariance; without a measured orientation, of the position only.
     fn information(&self, mount: &Isometry3<f64>) -> Matrix6<f64> {
         let expected = self.expected(mount);
         if self.orientation.is_some() {

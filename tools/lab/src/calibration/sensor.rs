@@ -1,10 +1,9 @@
-//! Mounting, time offset and bias of an inertial sensor, from a flight of which nothing is known
-//! before.
+//! Mounting, time offset and bias of an inertial sensor, from a flight without prior knowledge.
 //!
-//! For each time offset within [`SEARCHED_S`] the mounting and the bias that agree best with the
-//! picture's rates have a closed form (Kabsch, Acta Crystallographica A32, 1976). The best offset's
-//! solution is refined by Gauss-Newton steps over all seven unknowns, whose normal matrix states
-//! the deviations.
+//! For each time offset within [`SEARCHED_S`], mounting and bias have a closed-form solution
+//! (Kabsch, Acta Crystallographica A32, 1976). It minimizes the difference from the picture's
+//! rates. Gauss-Newton steps over all seven unknowns refine the solution of the best offset. Their
+//! normal matrix gives the deviations.
 
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 
@@ -18,40 +17,39 @@ const STEP_S: f64 = 0.005;
 const REFINEMENTS: usize = 5;
 /// Deviations beyond which a residual counts as the picture's error and is left out.
 const OUTLIER: f64 = 4.0;
-/// Share of the rates' variation that is left at least where sensor and picture do not belong
-/// together.
+/// Largest remaining share of the rates' variation if sensor and picture belong together.
 const UNRELATED: f64 = 0.5;
 
-/// Ratio by which mirrored axes must leave less than proper ones to count as mirrored.
+/// Axes count as mirrored if they reduce the residual by this factor.
 const MIRRORED: f64 = 4.0;
 
-/// What the picture shows between two frames.
+/// The camera's rotation between two frames, measured in the picture.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TurnSeen {
     /// Exposure of the earlier frame, seconds.
     pub earlier_s: f64,
     /// Exposure of the later frame, seconds.
     pub later_s: f64,
-    /// The mean angular velocity between, in the camera's axes, rad/s.
+    /// Mean angular velocity between the two, in the camera's axes, rad/s.
     pub rate: Vector3<f64>,
 }
 
-/// What a calibration found.
+/// The result for a sensor.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SensorCalibration {
     /// Turns the sensor's axes into the camera's.
     pub camera_from_sensor: UnitQuaternion<f64>,
-    /// What has to be added to the sensor's time to get the camera's, seconds.
+    /// Offset from the sensor's time to the camera's time, seconds.
     pub time_offset_s: f64,
-    /// Along the camera's axes, rad/s.
+    /// Bias of the rates along the camera's axes, rad/s.
     pub bias: Vector3<f64>,
     /// Standard deviations of the mounting about the camera's axes, radians.
     pub mounting_deviation: Vector3<f64>,
     /// Standard deviation of the time offset, seconds.
     pub offset_deviation_s: f64,
-    /// Root mean square of what is left between picture and sensor about each axis, rad/s.
+    /// Root mean square of the residual between picture and sensor about each axis, rad/s.
     pub residual: f64,
-    /// Comparisons that it rests on.
+    /// Number of comparisons that were used.
     pub comparisons: usize,
 }
 
@@ -62,13 +60,13 @@ type RatePair = (TurnSeen, Vector3<f64>);
 struct ClosedForm {
     rotation: Matrix3<f64>,
     bias: Vector3<f64>,
-    /// Mean squared residual, and the same where the axes may be mirrored.
+    /// Mean squared residual, and the same for mirrored axes.
     left: f64,
     left_mirrored: f64,
 }
 
-/// Finds mounting, time offset and bias of the sensor whose samples are in `record`, from what the
-/// picture shows of the same flight.
+/// Finds mounting, time offset and bias of the sensor with the samples `record`, from the picture's
+/// rotations in the same flight.
 pub fn calibrate(
     seen: &[TurnSeen],
     record: &RateRecord,
@@ -81,7 +79,7 @@ pub fn calibrate(
     for offset_s in offsets {
         let pairs = at(offset_s);
         most = most.max(pairs.len());
-        // An offset at which half of the comparisons are missing says little.
+        // Offsets without half of the comparisons are skipped.
         if pairs.len() < LEAST_FRAMES.max(seen.len() / 2) {
             continue;
         }
@@ -104,7 +102,8 @@ pub fn calibrate(
     refined(seen, record, offset_s, &fit)
 }
 
-/// Means of both over the same frames, the sensor's time moved by `offset_s`.
+/// Mean rates of picture and sensor over the same frames, with the sensor's time shifted by
+/// `offset_s`.
 fn pairs(seen: &[TurnSeen], record: &RateRecord, offset_s: f64) -> Vec<RatePair> {
     let pair = |seen: &TurnSeen| {
         let (from_s, to_s) = (seen.earlier_s - offset_s, seen.later_s - offset_s);
@@ -115,7 +114,8 @@ fn pairs(seen: &[TurnSeen], record: &RateRecord, offset_s: f64) -> Vec<RatePair>
     seen.iter().filter_map(pair).collect()
 }
 
-/// The rotation and the bias that make the sensor's rates agree best with the picture's.
+/// The rotation and the bias with the least difference between the sensor's and the picture's
+/// rates.
 fn fit(pairs: &[RatePair]) -> ClosedForm {
     let count = pairs.len() as f64;
     let mean_seen = pairs.iter().map(|(seen, _)| seen.rate).sum::<Vector3<f64>>() / count;
@@ -132,7 +132,7 @@ fn fit(pairs: &[RatePair]) -> ClosedForm {
         .sum();
     let svd = together.svd(true, true);
     let (Some(u), Some(v_t)) = (svd.u, svd.v_t) else {
-        // Both were asked for.
+        // Cannot happen: both matrices were requested.
         return ClosedForm {
             rotation: Matrix3::identity(),
             bias: Vector3::zeros(),
@@ -147,8 +147,8 @@ fn fit(pairs: &[RatePair]) -> ClosedForm {
     let rotation = u * Matrix3::from_diagonal(&signs) * v_t;
     let all = svd.singular_values.sum();
     let smallest = svd.singular_values[least];
-    // A proper rotation reaches the sum of the singular values, the smallest with the sign that it
-    // needs.
+    // A rotation reaches the sum of the singular values, where the smallest one has the sign of the
+    // determinant.
     let left = |signed: f64| (squares - 2.0 * (all - smallest + signed * smallest)) / count;
     ClosedForm {
         rotation,

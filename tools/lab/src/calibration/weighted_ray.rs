@@ -1,4 +1,4 @@
-//! A ray in an adjustment, and what all adjustments do alike.
+//! A weighted ray, and functions that all adjustments use.
 
 use nalgebra::{
     Isometry3, Matrix2x3, Matrix2x6, Matrix3, Matrix3x2, Matrix6, UnitQuaternion, Vector2, Vector3,
@@ -9,11 +9,11 @@ use flockeye_geometry::pose::CornerRay;
 
 /// Scale of the robust cost, in spreads of the errors.
 pub(super) const ROBUST_SCALE: f64 = 3.0;
-/// What Cauchy's weights leave of the squares of normal errors at that scale: with x of mean 2, the
-/// mean of x / (1 + x / 9) over 2.
+/// Share of the squares of normal errors that remains with Cauchy's weights at that scale. It is
+/// the mean of x / (1 + x / 9) divided by 2, for x with mean 2.
 pub(super) const WEIGHTED_SHARE: f64 = 0.7209;
 
-/// One ray: where it looks, across what, and how surely (1/radians).
+/// One ray: direction, tangent plane, and weight (1/radians).
 #[derive(Debug, Clone, Copy)]
 pub(super) struct WeightedRay {
     ray: Vector3<f64>,
@@ -32,8 +32,8 @@ impl WeightedRay {
         }
     }
 
-    /// Error of the ray to a point, in standard deviations across it: 2 tan(angle / 2) in its
-    /// direction, which rises all the way to straight behind.
+    /// Error from the ray to a point, in standard deviations across the ray. Its size is 2
+    /// tan(angle / 2), which rises up to 180 degrees.
     pub(super) fn error(&self, point: &Vector3<f64>) -> Vector2<f64> {
         let direction = point.normalize();
         let along = (1.0 + self.ray.dot(&direction)).max(1e-9);
@@ -53,8 +53,8 @@ impl WeightedRay {
     }
 }
 
-/// The derivative by a shift, then by a turn of what lies at `arm` from the turn's centre, from
-/// that by the point itself.
+/// The derivative by a shift, then by a turn, from the derivative by the point. `arm` is the point
+/// relative to the centre of the turn.
 pub(super) fn by_motion(by_point: &Matrix2x3<f64>, arm: &Vector3<f64>) -> Matrix2x6<f64> {
     let mut joined = Matrix2x6::zeros();
     joined.fixed_columns_mut::<3>(0).copy_from(by_point);
@@ -68,11 +68,11 @@ pub(super) fn cauchy(squared: f64, scale: f64) -> f64 {
     square * (squared / square).ln_1p()
 }
 
-/// What Cauchy's weights leave of the squares of normal errors with two coordinates, whose squared
-/// norm has this mean.
+/// Share of the squares of normal errors with two coordinates that remains with Cauchy's weights.
+/// `mean` is the mean of their squared norm.
 pub(super) fn weighted_share(mean: f64, scale: f64) -> f64 {
-    // Squared norms are exponentially distributed: the midpoints of equally probable parts stand
-    // for them.
+    // Squared norms are exponentially distributed. The midpoints of equally probable parts
+    // represent them.
     const PARTS: u32 = 1000;
     let square = |part: u32| {
         let above = 1.0 - (f64::from(part) + 0.5) / f64::from(PARTS);
@@ -84,7 +84,7 @@ pub(super) fn weighted_share(mean: f64, scale: f64) -> f64 {
     weighted / all
 }
 
-/// Median error over that of errors as stated: of two normal coordinates, sqrt(2 ln 2).
+/// The median error divided by the expected one, which is sqrt(2 ln 2) for two normal coordinates.
 pub(super) fn spread(errors: impl Iterator<Item = Vector2<f64>>) -> f64 {
     let mut errors: Vec<f64> = errors.map(|error| error.norm()).collect();
     if errors.is_empty() {
@@ -109,8 +109,8 @@ pub(super) fn moved(pose: &Isometry3<f64>, step: &Vector6<f64>) -> Isometry3<f64
     Isometry3::from_parts((pose.translation.vector + shift).into(), rotation)
 }
 
-/// From one pose to another: shift, then the rotation vector, in the target's axes. What [`moved`]
-/// takes.
+/// The step from one pose to another for [`moved`]: shift, then rotation vector, in the target's
+/// axes.
 pub(super) fn difference(from: &Isometry3<f64>, to: &Isometry3<f64>) -> Vector6<f64> {
     let shift = to.translation.vector - from.translation.vector;
     let turn = (to.rotation * from.rotation.inverse()).scaled_axis();

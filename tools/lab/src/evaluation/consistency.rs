@@ -1,4 +1,4 @@
-//! Whether errors are as large as their covariances say.
+//! Consistency of errors with their covariances.
 
 use flockeye_geometry::filter::chi_square_quantile;
 use flockeye_geometry::statistics::{mean, median};
@@ -11,38 +11,38 @@ use super::statistics::{effective_samples, effective_samples_of_runs};
 /// Degrees of freedom of a position and of a rotation.
 const DEGREES: f64 = 3.0;
 
-/// Whether errors are as large as their covariances say.
+/// Consistency of errors with their covariances.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum NeesVerdict {
     /// The mean lies within its bounds.
     Consistent,
-    /// Errors are larger than the covariances say.
+    /// Errors are larger than the covariances state.
     Optimistic,
-    /// Errors are smaller than the covariances say.
+    /// Errors are smaller than the covariances state.
     Pessimistic,
 }
 
-/// Normalised errors squared (NEES), e' P^-1 e, of positions or of rotations. Where errors are as
-/// their covariances say, each is chi-square of 3 degrees of freedom (Bar-Shalom, Li, Kirubarajan,
-/// "Estimation with Applications to Tracking and Navigation", section 5.4.2).
+/// Normalised estimation errors squared (NEES), e' P^-1 e, of positions or of rotations. For
+/// correct covariances each is chi-square distributed with 3 degrees of freedom (Bar-Shalom, Li,
+/// Kirubarajan, "Estimation with Applications to Tracking and Navigation", section 5.4.2).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Nees {
-    /// How many there are.
+    /// Number of samples.
     pub samples: usize,
-    /// How many independent samples they are worth.
+    /// Effective number of independent samples.
     pub effective_samples: f64,
-    /// Their mean; 3 is expected.
+    /// Mean of the samples; 3 is expected.
     pub mean: f64,
-    /// Their median; 2.37 is expected. Outliers move only the mean.
+    /// Median of the samples; 2.37 is expected. Outliers have no effect on it.
     pub median: f64,
-    /// The share of them within the ellipsoid that 99 % should lie in.
+    /// Share of samples within the 99 % ellipsoid.
     pub inside_99: f64,
-    /// Lower bound of the mean (97.5 %) if errors are as large as their covariances say.
+    /// Lower bound of the mean (97.5 %) for correct covariances.
     pub low: f64,
-    /// Upper bound of the mean (97.5 %) in the same case.
+    /// Upper bound of the mean (97.5 %) for correct covariances.
     pub high: f64,
-    /// Where the mean lies.
+    /// Position of the mean relative to its bounds.
     pub verdict: NeesVerdict,
 }
 
@@ -90,15 +90,15 @@ impl Nees {
 /// NEES of positions and of rotations.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Consistency<N = Nees> {
-    /// Of positions.
+    /// NEES of positions.
     pub position: N,
-    /// Of rotations.
+    /// NEES of rotations.
     pub rotation: N,
 }
 
 impl Consistency {
-    /// NEES of series of errors with their covariances; `None` if there is no sample. A covariance
-    /// that is none (not positive definite) gives no sample.
+    /// NEES of series of errors with their covariances; `None` without a sample. A covariance that
+    /// is not positive definite gives no sample.
     pub fn of(series: &[Vec<ErrorSample>]) -> Option<Self> {
         let nees = |error: fn(&PoseOffset) -> Vector3<f64>, first: usize| {
             let of_series = |series: &Vec<ErrorSample>| -> Vec<f64> {
@@ -121,7 +121,7 @@ pub fn normalised(error: &Vector3<f64>, covariance: &Matrix3<f64>) -> Option<f64
     Some(error.dot(&covariance.cholesky()?.solve(error)))
 }
 
-/// Cuts samples, each with its frame, into series of neighbouring frames.
+/// Cuts samples, each with its frame, into series of consecutive frames.
 pub fn in_series<T>(samples: impl IntoIterator<Item = (u64, T)>) -> Vec<Vec<T>> {
     let mut series: Vec<Vec<T>> = Vec::new();
     let mut last = None;

@@ -1,4 +1,4 @@
-//! How far a pose is from the truth.
+//! Errors of poses relative to the truth.
 
 use flockeye_geometry::statistics::mean;
 use flockeye_tables::TruthRow;
@@ -7,21 +7,21 @@ use serde::Serialize;
 
 use super::statistics::Spread;
 
-/// One comparison of a pose with the truth.
+/// The error of a pose.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PoseOffset {
-    /// Truth less pose, metres, in the observer's axes.
+    /// True position minus the pose's position, metres, in the observer's axes.
     pub position: Vector3<f64>,
-    /// The rotation vector from the pose's orientation to the true one, radians, in the observer's
+    /// Rotation vector from the pose's orientation to the true one, radians, in the observer's
     /// axes.
     pub rotation: Vector3<f64>,
-    /// The pose's position less the true one along the line of sight, metres: too far is positive.
+    /// Error of the position along the line of sight, metres; positive if too far.
     pub along_m: f64,
-    /// The rest of it, across the line of sight, metres.
+    /// Error of the position across the line of sight, metres.
     pub across_m: f64,
-    /// The pose's distance less the true one, metres.
+    /// The pose's distance minus the true distance, metres.
     pub distance_m: f64,
-    /// Angle between the two directions, degrees.
+    /// Angle between the pose's direction and the true direction, degrees.
     pub bearing_deg: f64,
 }
 
@@ -55,12 +55,12 @@ impl PoseOffset {
         }
     }
 
-    /// Between the positions, metres.
+    /// Distance between the positions, metres.
     pub fn position_m(&self) -> f64 {
         self.position.norm()
     }
 
-    /// Between the orientations, degrees.
+    /// Angle between the orientations, degrees.
     pub fn rotation_deg(&self) -> f64 {
         self.rotation.norm().to_degrees()
     }
@@ -69,22 +69,22 @@ impl PoseOffset {
 /// An error with its covariance.
 pub type ErrorSample = (PoseOffset, Matrix6<f64>);
 
-/// A summary of many comparisons.
+/// Statistics of many errors.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Errors {
-    /// How many.
+    /// Number of errors.
     pub count: usize,
     /// Errors of the position, millimetres.
     pub position_mm: Spread,
     /// Errors of the position along the line of sight, millimetres.
     pub along_mm: Spread,
-    /// The mean along the line of sight with its sign: too far is positive.
+    /// Signed mean along the line of sight, millimetres; positive if too far.
     pub along_bias_mm: f64,
     /// Errors of the position across the line of sight, millimetres.
     pub across_mm: Spread,
     /// Errors of the distance, millimetres.
     pub distance_mm: Spread,
-    /// The mean of the distance with its sign: too far is positive.
+    /// Signed mean of the distance error, millimetres; positive if too far.
     pub distance_bias_mm: f64,
     /// Errors of the direction, degrees.
     pub bearing_deg: Spread,
@@ -93,7 +93,7 @@ pub struct Errors {
 }
 
 impl Errors {
-    /// Statistics of comparisons; `None` if there is none.
+    /// Statistics of errors; `None` without an error.
     pub fn of(errors: &[PoseOffset]) -> Option<Self> {
         let spread = |size: fn(&PoseOffset) -> f64, unit: f64| {
             Spread::of(errors.iter().map(|e| size(e) * unit))

@@ -1,12 +1,12 @@
-//! The truth between frames: where a body was, or how the camera was turned, at any time.
+//! The truth at any time between frames: a body's pose or the camera's attitude.
 
 use flockeye_tables::TruthRow;
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 
-/// Between frames that are farther apart than this, seconds, nothing is said: a drone may do
-/// anything in between.
+/// Largest gap between frames that is interpolated, seconds. Over longer gaps the motion is not
+/// known.
 const LONGEST_GAP_S: f64 = 0.1;
-/// Times that differ by less than this, seconds, are the same. Recordings state six decimals.
+/// Largest difference of equal times, seconds. Recordings have six decimals.
 const SAME_S: f64 = 2e-6;
 
 /// True poses at the exposures of frames.
@@ -24,7 +24,7 @@ struct TruePose {
 }
 
 impl TruePath {
-    /// Path of the body of these rows, in the camera's frame.
+    /// The path of the rows' body in the camera's frame.
     pub fn of_body<'a>(rows: impl IntoIterator<Item = &'a TruthRow>) -> Self {
         Self::new(rows.into_iter().map(|row| TruePose {
             frame: row.frame,
@@ -34,7 +34,7 @@ impl TruePath {
         }))
     }
 
-    /// Path of the camera's attitude in the world. `None` where no row has it.
+    /// The camera's attitude in the world over time. `None` if no row contains it.
     pub fn of_camera(rows: &[TruthRow]) -> Option<Self> {
         let knots = rows.iter().filter_map(|row| {
             let orientation = row.world_from_camera()?;
@@ -56,9 +56,9 @@ impl TruePath {
         Self { knots }
     }
 
-    /// The pose `after_s` seconds after a frame's exposure, or before it: on the curve of third
-    /// order through the two frames before that time and the two behind it. `None` where frames do
-    /// not lie on both sides.
+    /// The pose `after_s` seconds after a frame's exposure; before it if negative. It is
+    /// interpolated by a cubic through the two frames before and the two after that time. `None`
+    /// without frames on both sides.
     pub fn pose(&self, frame: u64, after_s: f64) -> Option<Isometry3<f64>> {
         let start = self.index(frame)?;
         let at_s = self.knots[start].at_s + after_s;
@@ -79,9 +79,9 @@ impl TruePath {
         Some(Isometry3::from_parts(Translation3::from(position), orientation))
     }
 
-    /// The angular velocity at a frame's exposure, along the turning axes themselves, rad/s: the
-    /// slope of the curve of fourth order through the frame, the two before it and the two behind
-    /// it. `None` where one of them is absent.
+    /// The angular velocity at a frame's exposure, in the turning frame's axes, rad/s. It is the
+    /// slope of the fourth-order polynomial through the frame and its two neighbours on each side.
+    /// `None` if one of them is absent.
     pub fn rate(&self, frame: u64) -> Option<Vector3<f64>> {
         let at = self.index(frame)?;
         let around = self.knots.get(at.checked_sub(2)?..at + 3)?;
@@ -96,7 +96,7 @@ impl TruePath {
         self.knots.binary_search_by_key(&frame, |knot| knot.frame).ok()
     }
 
-    /// The knot at that time, or the last one before it, without a gap from `start`.
+    /// The last knot at or before a time, without a gap from `start`.
     fn nearest(&self, start: usize, at_s: f64) -> Option<usize> {
         let mut index = start;
         while self.knots[index].at_s > at_s + SAME_S {
@@ -115,7 +115,7 @@ impl TruePath {
         Some(index)
     }
 
-    /// Up to two knots before a time and two behind it, the last before it being `before`.
+    /// Up to two knots before a time and two after it. `before` is the last one before.
     fn window(&self, before: usize, at_s: f64) -> Option<&[TruePose]> {
         let after = before + 1;
         let is_between = self
@@ -142,13 +142,13 @@ impl TruePose {
     }
 }
 
-/// Whether two knots are neighbours of one flight. Frames of several flights may lie in one table.
+/// Whether two knots are consecutive in one flight. A table may contain several flights.
 fn follows(one: &TruePose, next: &TruePose) -> bool {
     let gap_s = next.at_s - one.at_s;
     gap_s > 0.0 && gap_s <= LONGEST_GAP_S
 }
 
-/// How much each value counts at a time (Lagrange's polynomials).
+/// Weight of each value at a time (Lagrange polynomials).
 fn weights(times: &[f64], at: f64) -> Vec<f64> {
     let of = |k: usize| {
         let others = times.iter().enumerate().filter(|(other, _)| *other != k);
@@ -157,7 +157,7 @@ fn weights(times: &[f64], at: f64) -> Vec<f64> {
     (0..times.len()).map(of).collect()
 }
 
-/// How much each value counts for the slope at the time number `at` (their derivatives there).
+/// Weight of each value for the slope at `times[at]` (derivatives of the Lagrange polynomials).
 fn slopes(times: &[f64], at: usize) -> Vec<f64> {
     let others = |k: usize| times.iter().enumerate().filter(move |(other, _)| *other != k);
     let of = |k: usize| -> f64 {

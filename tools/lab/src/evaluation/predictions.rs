@@ -1,4 +1,4 @@
-//! Poses that were predicted for the time of sending, against the truth of then.
+//! Comparison of poses that were predicted for the time of sending with the truth at that time.
 
 use std::collections::BTreeMap;
 
@@ -12,11 +12,11 @@ use super::error::{ErrorSample, PoseOffset};
 use super::path::TruePath;
 use super::statistics::Spread;
 
-/// Predictions that reach no farther than this beyond the exposure, seconds, are none: those of a
-/// lossless run are for the exposure itself.
+/// Least time from exposure to prediction, seconds. In a lossless run predictions are for the
+/// exposure itself.
 const SHORTEST_S: f64 = 1e-4;
 
-/// How good predictions for the time of sending were.
+/// Errors of predictions for the time of sending.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Predictions {
     /// Errors of tracks that were measured in that frame; `None` if there are none.
@@ -25,32 +25,32 @@ pub struct Predictions {
     pub coasted: Option<PredictionErrors>,
 }
 
-/// Their errors.
+/// Errors of predictions.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct PredictionErrors {
-    /// Predictions that were compared with the truth.
+    /// Number of predictions that were compared with the truth.
     pub compared: usize,
-    /// Predictions that were not compared: the truth has no frames on both sides of their time.
+    /// Number of predictions without truth: it has no frames on both sides of their time.
     pub without_truth: usize,
-    /// How far beyond the exposure they reach, milliseconds; of those compared, as all below.
+    /// Time from exposure to prediction, milliseconds. This and the fields below are those of
+    /// compared predictions.
     pub ahead_ms: Option<Spread>,
     /// Errors of the position, millimetres.
     pub position_mm: Option<Spread>,
     /// Errors of the orientation, degrees.
     pub rotation_deg: Option<Spread>,
-    /// What the position error would be if the pose at the exposure were taken for that of then,
-    /// millimetres.
+    /// Errors of the position without a prediction, millimetres: the pose at the exposure is kept.
     pub held_position_mm: Option<Spread>,
     /// Errors of the orientation without a prediction, degrees.
     pub held_rotation_deg: Option<Spread>,
-    /// Whether errors are as large as their covariances say.
+    /// Consistency of errors with their covariances.
     pub nees: Option<Consistency>,
 }
 
 impl Predictions {
-    /// Compares the predictions of tracks with the truth of then. `None` where no pose reaches
-    /// beyond its exposure: in a lossless run, without a filter, or where predictions were not
-    /// recorded.
+    /// Compares the predictions of tracks with the truth at their times. `None` if no prediction is
+    /// later than its exposure: in a lossless run, without a filter, or without recorded
+    /// predictions.
     pub fn of(poses: &[PoseRow], truth: &[TruthRow]) -> Option<Self> {
         let mut bodies: BTreeMap<&str, Vec<&TruthRow>> = BTreeMap::new();
         truth.iter().for_each(|row| bodies.entry(row.body.as_str()).or_default().push(row));
@@ -81,7 +81,7 @@ impl PredictionErrors {
             ahead_s.push(after_s);
             predicted.push(error);
             held.push(offset(&pose.position, &pose.orientation, &then));
-            // If a frame has several poses, the last counts.
+            // The last of several poses of a frame is used.
             let of_body = samples.entry(&pose.target).or_default();
             of_body.insert(pose.frame, (error, prediction.covariance));
         }
@@ -102,7 +102,7 @@ impl PredictionErrors {
     }
 }
 
-/// A pose with what is predicted for a time beyond its exposure.
+/// A pose with its prediction for a later time than its exposure.
 type Ahead<'a> = (&'a PoseRow, &'a PredictedPose);
 
 fn ahead(pose: &PoseRow) -> Option<Ahead<'_>> {

@@ -1,4 +1,4 @@
-//! The camera's recorded rotation against its true attitude, or against an inertial sensor.
+//! Comparison of the camera's recorded rotation with its true attitude or a gyroscope.
 
 use flockeye_geometry::inertial::RateRecord;
 use flockeye_geometry::statistics::median;
@@ -10,43 +10,43 @@ use super::consistency::{Nees, in_series, normalised};
 use super::path::TruePath;
 use super::statistics::Spread;
 
-/// What rotations are compared with.
+/// The reference for rotations.
 #[derive(Debug, Clone)]
 pub enum TrueRotation {
     /// The attitudes of a simulated flight.
     Attitudes(TruePath),
-    /// A gyroscope's samples, and the bias that is taken out of them, rad/s.
+    /// A gyroscope's samples, and the bias that is subtracted from them, rad/s.
     Gyroscope(RateRecord, Vector3<f64>),
 }
 
-/// How well the camera's rotation was known.
+/// Errors of the camera's rotation.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct RotationEvaluation {
-    /// Frames whose rotation was known.
+    /// Number of frames with a known rotation.
     pub known: usize,
-    /// Frames of which it was said that it is not; the first frame of a flight is one.
+    /// Number of frames with an unknown rotation, such as the first frame of a flight.
     pub not_known: usize,
-    /// Rotations that were compared.
+    /// Number of compared rotations.
     pub compared: usize,
     /// Errors of the rotation from one frame to the next, degrees.
     pub error_deg: Option<Spread>,
-    /// The standard deviation stated for it (root of the covariance's trace), median, degrees.
+    /// Median of the stated standard deviation (root of the covariance's trace), degrees.
     pub stated_deg: Option<f64>,
     /// Errors of the rate at the exposure, degrees/s.
     pub rate_error_deg_s: Option<Spread>,
-    /// Standard deviation stated for the rate, degrees/s.
+    /// Median of the stated standard deviation of the rate, degrees/s.
     pub rate_stated_deg_s: Option<f64>,
-    /// Whether rotations are as wrong as their covariances say.
+    /// NEES of rotations.
     pub nees: Option<Nees>,
     /// NEES of rates.
     pub rate_nees: Option<Nees>,
-    /// The constant bias of the gyroscope, which was taken out: the median difference of the two,
-    /// degrees/s.
+    /// The gyroscope's constant bias, which was subtracted: the median difference from the recorded
+    /// rotations, degrees/s.
     pub gyroscope_bias_deg_s: Option<f64>,
 }
 
 impl TrueRotation {
-    /// The attitudes of the truth. `None` where it has none.
+    /// The attitudes of the truth; `None` if it contains none.
     pub fn of_truth(truth: &[TruthRow]) -> Option<Self> {
         TruePath::of_camera(truth).map(Self::Attitudes)
     }
@@ -56,7 +56,7 @@ impl TrueRotation {
         Self::Gyroscope(rate_record(rows), Vector3::zeros())
     }
 
-    /// How the camera has turned: from directions of the earlier exposure to those of the frame's.
+    /// The true rotation of directions from the earlier exposure to the frame's exposure.
     fn turned(&self, row: &RotationRow, turn: &RecordedTurn) -> Option<UnitQuaternion<f64>> {
         match self {
             Self::Attitudes(path) => {
@@ -64,7 +64,7 @@ impl TrueRotation {
                 let earlier = path.pose(row.frame, turn.earlier_s - row.stamp_s)?.rotation;
                 Some(later.inverse() * earlier)
             }
-            // What the sensor did after its last sample is not the truth.
+            // After the last sample of the sensor there is no reference.
             Self::Gyroscope(record, _) if record.newest_s()? < row.stamp_s => None,
             Self::Gyroscope(record, bias) => {
                 record.later_from_earlier(turn.earlier_s, row.stamp_s, |rate| rate - bias)
@@ -81,8 +81,8 @@ impl TrueRotation {
         }
     }
 
-    /// What is constant in the difference from the rotations recorded, rad/s, if this is a
-    /// gyroscope: the median along each axis, which single wrong rotations do not move.
+    /// The gyroscope's constant bias, rad/s: the median difference from the recorded rotations
+    /// along each axis. The median is robust against single wrong rotations. `None` for attitudes.
     fn bias(&self, rows: &[RotationRow]) -> Option<Vector3<f64>> {
         let Self::Gyroscope(..) = self else { return None };
         let differences = rows.iter().filter_map(|row| {
@@ -112,8 +112,8 @@ fn middle(mut values: Vec<f64>) -> Option<f64> {
 }
 
 impl RotationEvaluation {
-    /// Compares recorded rotations. What is constant in the difference from a gyroscope is taken
-    /// for the sensor's bias; its noise counts as error.
+    /// Compares recorded rotations with the truth. A gyroscope's constant bias is subtracted; its
+    /// noise is part of the errors.
     pub fn of(rows: &[RotationRow], truth: TrueRotation) -> Self {
         let bias = truth.bias(rows);
         let truth = truth.without(bias);

@@ -25,7 +25,7 @@ pub(crate) fn pose_at(frame: u64, position: Vector3<f64>, state: TrackState) -> 
     }
 }
 
-/// The truth of alpha, upright, with three markers to be seen.
+/// The truth of alpha, upright, with three visible markers.
 pub(crate) fn truth_at(frame: u64, position: Vector3<f64>) -> TruthRow {
     TruthRow {
         frame,

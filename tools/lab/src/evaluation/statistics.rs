@@ -6,15 +6,15 @@ use serde::Serialize;
 /// The distribution of a magnitude.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Spread {
-    /// Its mean.
+    /// Mean.
     pub mean: f64,
-    /// Half are smaller.
+    /// Median.
     pub median: f64,
-    /// 95 % are smaller.
+    /// 95 % quantile.
     pub p95: f64,
-    /// 99 % are smaller.
+    /// 99 % quantile.
     pub p99: f64,
-    /// The largest.
+    /// Largest value.
     pub worst: f64,
 }
 
@@ -33,17 +33,17 @@ impl Spread {
     }
 }
 
-/// The effective sample size: how many independent samples determine the mean as well as these do.
-/// It is n / (1 + 2 (r1 + r2 + ...)) with the correlation r at each lag, up to the first that is
-/// not positive (Geyer, "Practical Markov chain Monte Carlo", 1992, in its plainest form). Samples
-/// of different series are independent.
+/// The effective sample size: the number of independent samples whose mean has the same variance.
+/// It is n / (1 + 2 (r1 + r2 + ...)) with the correlation r at each lag, up to the first r that is
+/// not positive (Geyer, "Practical Markov chain Monte Carlo", 1992). Samples of different series
+/// are independent.
 pub fn effective_samples(series: &[Vec<f64>]) -> f64 {
     let all: Vec<f64> = series.concat();
     let count = all.len() as f64;
     let Some(mean) = mean(&all) else { return 0.0 };
     let variance = all.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / count;
     if variance <= 0.0 {
-        // All samples are equal: they are worth one.
+        // All samples are equal, so they count as one.
         return 1.0;
     }
     let longest = series.iter().map(Vec::len).max().unwrap_or(0);
@@ -56,17 +56,17 @@ pub fn effective_samples(series: &[Vec<f64>]) -> f64 {
         if correlation <= 0.0 {
             break;
         }
-        // Long lags have fewer pairs: they count for less.
+        // Long lags have fewer pairs, so their weight is smaller.
         correlated += correlation * f64::from(pairs) / count;
     }
     (count / (1.0 + 2.0 * correlated)).max(1.0)
 }
 
-/// Effective number of samples of independent runs with any correlation within a run: all frames of
-/// a flight share its path and its light. The variance of the mean comes from the sums of the runs
-/// (cluster-robust variance; Liang and Zeger, "Longitudinal data analysis using generalized linear
-/// models", 1986). Fewer runs than [`FEWEST_RUNS`] do not show how runs differ. Then this is
-/// [`effective_samples`].
+/// Effective number of samples of independent runs, with any correlation within a run. All frames
+/// of a flight share its path and its light. The variance of the mean is estimated from the sums of
+/// the runs (cluster-robust variance; Liang and Zeger, "Longitudinal data analysis using
+/// generalized linear models", 1986). With fewer runs than [`FEWEST_RUNS`] this is not possible.
+/// Then the result is that of [`effective_samples`].
 pub fn effective_samples_of_runs(runs: &[Vec<f64>]) -> f64 {
     let all: Vec<f64> = runs.concat();
     let count_of_runs = runs.iter().filter(|run| !run.is_empty()).count();
@@ -80,11 +80,12 @@ pub fn effective_samples_of_runs(runs: &[Vec<f64>]) -> f64 {
     if squares <= 0.0 {
         return 1.0;
     }
-    // If the runs do not differ, this divides by zero: then each sample counts.
+    // If the runs do not differ, this divides by zero. The limit then gives all samples.
     (count * squares / of_runs * (runs - 1.0) / runs).clamp(1.0, count)
 }
 
-/// The standard deviation of the variance between so many runs is about a sixth of that variance.
+/// Fewest runs for an estimate of the variance between runs. Its standard deviation is then about a
+/// third of its value.
 const FEWEST_RUNS: usize = 20;
 
 #[cfg(test)]

@@ -12,18 +12,18 @@ use super::rotations::RotationEvaluation;
 use super::statistics::Spread;
 use super::{Bin, Evaluation};
 
-/// Places of false poses that are listed.
+/// Largest number of listed false poses.
 const LISTED: usize = 10;
 
 impl Bin {
-    /// Its distances in words.
+    /// The range of distances as text.
     pub fn range(&self) -> String {
         self.to_m.map_or("all".to_owned(), |to_m| format!("{:.1} - {to_m:.1}", self.from_m))
     }
 }
 
 impl NeesVerdict {
-    /// In words.
+    /// As text.
     pub fn text(self) -> &'static str {
         match self {
             Self::Consistent => "consistent",
@@ -34,7 +34,7 @@ impl NeesVerdict {
 }
 
 impl Nees {
-    /// In words.
+    /// As text.
     pub fn text(&self) -> String {
         format!(
             "mean {:.2} (95 %: {:.2} to {:.2}), median {:.2}, {:.1} % inside 99 %, of {} samples worth {:.0} independent ones: {}",
@@ -51,7 +51,7 @@ impl Nees {
 }
 
 impl Spread {
-    /// Median, 95 %, 99 % and worst in words, with so many digits behind the point.
+    /// Median, 95 %, 99 % and worst as text, with `digits` decimals.
     fn text(&self, unit: &str, digits: usize) -> String {
         format!(
             "median {:.digits$}{unit}, 95 % {:.digits$}, 99 % {:.digits$}, worst {:.digits$}",
@@ -151,8 +151,8 @@ const TITLES: [&str; 11] = [
     "95 %",
 ];
 
-/// Position: mean, median, 95 %, worst; along the line of sight: median, mean with sign; across it:
-/// median; distance: mean; bearing: median; rotation: median, 95 %.
+/// Columns of errors. Position: mean, median, 95 %, worst; along the line of sight: median, signed
+/// mean; across: median; distance: mean; bearing: median; rotation: median, 95 %.
 fn columns(errors: &Errors) -> [String; 11] {
     let mm = |x: f64| format!("{x:.1}");
     let deg = |x: f64| format!("{x:.2}");

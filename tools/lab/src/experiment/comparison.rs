@@ -1,4 +1,4 @@
-//! What the experiments that compare ways of searching have in common.
+//! Common parts of the experiments that compare ways of searching.
 
 use std::path::PathBuf;
 
@@ -29,7 +29,7 @@ pub struct ComparisonArguments {
     pub json: bool,
 }
 
-/// The results, and the paper's.
+/// The results beside the paper's results.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub(super) struct BesidePaper<Row, PaperRow: 'static> {
     pub(super) rows: Vec<Row>,
@@ -39,27 +39,27 @@ pub(super) struct BesidePaper<Row, PaperRow: 'static> {
 /// The result of one flight.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub(super) struct FlightOutcome {
-    /// Frames that ended.
+    /// Number of frames that ended.
     frames: usize,
-    /// Frames in a second of the pipeline's work alone: from each frame's publication to its end.
+    /// Frames per second of the pipeline's work: from each frame's publication to its end.
     frames_per_s: f64,
-    /// Frames in a second of the clock, which includes the source's decoding or simulating.
+    /// Frames per second of wall time, which includes decoding or simulation by the source.
     wall_frames_per_s: Option<f64>,
     /// Eligible bodies: localisable, with two markers wholly visible.
     eligible: usize,
-    /// Bodies that were measured.
+    /// Eligible bodies that were measured.
     captured: usize,
-    /// Their share.
+    /// Measured share of the eligible bodies.
     share: Option<f64>,
-    /// The share at the source's own rate if each frame that comes while another is processed is
-    /// lost: `share` times the part of the frames that there is time for.
+    /// Expected share at the source's own rate, if frames are lost while another is processed. It
+    /// is `share` times the part of the frames that can be processed.
     share_in_real_time: Option<f64>,
     /// Mean position error within 1.5 m, the paper's range, centimetres.
     mean_error_cm: Option<f64>,
     /// Median position error within 1.5 m, centimetres.
     median_error_cm: Option<f64>,
-    /// Measurements that are wrong by more than 10 cm or 10 degrees, or of a body that is not
-    /// there.
+    /// Number of measurements with an error over 10 cm or 10 degrees, or of a body that is not in
+    /// view.
     false_poses: usize,
 }
 
@@ -117,7 +117,7 @@ impl FlightOutcome {
 pub(super) const TITLES: [&str; 9] =
     ["FpS", "wall", "error cm", "median", "captured", "of", "share", "real time", "false"];
 
-/// What the columns mean.
+/// Meaning of the columns.
 pub(super) const LEGEND: &str = "\
 FpS: frames a second of the pipeline's work alone, from a frame's publication to its end; wall: with the source's decoding or simulating
 error: of the published position within 1.5 m, mean and median; captured: localisable bodies with two markers wholly visible that were measured, at any distance
@@ -131,7 +131,7 @@ fn rate(truth: &[TruthRow]) -> Option<f64> {
     (seconds > 0.0).then(|| (last.frame - first.frame) as f64 / seconds)
 }
 
-/// The truth of a recording, if one is given: a simulated flight has its own.
+/// The given truth of a recording; `None` for a simulated flight, which has its own.
 pub(super) fn given_truth(
     arguments: &ComparisonArguments,
 ) -> anyhow::Result<Option<Vec<TruthRow>>> {

@@ -1,4 +1,4 @@
-//! Whether errors are as large as their covariances say, over many independent flights.
+//! Consistency of errors with their covariances over many independent flights.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -34,21 +34,21 @@ pub struct ConsistencyArguments {
     pub json: bool,
 }
 
-/// Half of the usual image size and half of the distances: bodies are as large in pixels, and a
-/// frame costs a quarter.
+/// Half of the usual image size at half of the distances. Bodies have the same size in pixels, and
+/// a frame takes a quarter of the time.
 const DEFAULTS: [&str; 3] =
     ["camera.width=1920", "camera.height=960", "simulator.distance_m=[0.4, 1.0]"];
 
-/// Positions or rotations of all flights.
+/// NEES of positions or rotations over all flights.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 struct NeesOverRuns {
     /// Consistency over all frames of all flights.
     #[serde(flatten)]
     nees: Nees,
-    /// Frame numbers at which at least half of the flights have a sample: at each of them the
-    /// samples are independent.
+    /// Number of frame numbers at which at least half of the flights have a sample. Samples of one
+    /// frame number are independent.
     moments: usize,
-    /// Share of those at which the mean over the flights lies within its 95 % bounds.
+    /// Share of these frame numbers at which the mean over the flights is within its 95 % bounds.
     inside: Option<f64>,
 }
 
@@ -60,17 +60,17 @@ pub(super) struct ConsistencyResult {
     seeds: [u32; 2],
     image_px: [u32; 2],
     distance_m: [f64; 2],
-    /// Flights in which nothing was measured.
+    /// Number of flights without a measurement.
     empty_runs: usize,
-    /// The frames' own measurements.
+    /// Consistency of the frames' own measurements.
     measurements: Option<Consistency<NeesOverRuns>>,
-    /// The tracks in frames that were measured.
+    /// Consistency of tracks in measured frames.
     tracks: Option<Consistency<NeesOverRuns>>,
     /// Whether all means lie within their bounds.
     passes: bool,
 }
 
-/// Flies once for each seed, from the configured one on.
+/// Runs a flight for each seed, beginning with the configured one.
 pub(super) fn run(arguments: &ConsistencyArguments) -> anyhow::Result<ConsistencyResult> {
     let mut laboratory =
         Laboratory::new(&arguments.configuration, &DEFAULTS, arguments.frames, arguments.json)?;

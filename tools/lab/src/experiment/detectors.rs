@@ -1,4 +1,4 @@
-//! Our detector beside OpenCV's, on photographs or on flights.
+//! Comparison of our detector with OpenCV's, on photographs or on flights.
 
 use std::fmt;
 use std::path::PathBuf;
@@ -40,7 +40,7 @@ pub(super) struct DetectorOutcome {
     outcome: FlightOutcome,
 }
 
-/// Both detectors.
+/// The comparison of both detectors.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub(super) enum DetectorComparison {
@@ -50,7 +50,7 @@ pub(super) enum DetectorComparison {
     Photographs(PhotographComparison),
 }
 
-/// Compares both detectors; all else is as configured.
+/// Compares both detectors. All other settings are as configured.
 pub(super) fn run(arguments: &DetectorsArguments) -> anyhow::Result<DetectorComparison> {
     let DetectorsArguments { photographs, dictionary, corners, comparison } = arguments;
     if let Some(folder) = photographs {

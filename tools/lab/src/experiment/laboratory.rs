@@ -1,4 +1,4 @@
-//! Flights one after another, each a lossless run of the whole pipeline.
+//! Runs flights one after another, each a lossless run of the whole pipeline.
 
 use std::collections::BTreeSet;
 use std::ffi::OsString;
@@ -12,28 +12,28 @@ use flockeye_tables::{FrameTimes, PoseRow, TruthRow, read};
 
 use crate::up_process;
 
-/// What the flights of an experiment have in common.
+/// The common settings of an experiment's flights.
 pub(super) struct Laboratory {
     configuration: Configuration,
-    /// Settings that the user's override.
+    /// Settings with lower priority than the user's.
     defaults: Vec<String>,
     frames: u64,
     stopping: Arc<AtomicBool>,
     screen: Screen,
 }
 
-/// What was recorded of a flight.
+/// The recorded data of a flight.
 #[derive(Debug, Clone, Default)]
 pub(super) struct FlightRecord {
-    /// Every pose of the frames that ended, and of no other frame.
+    /// The poses of all frames that ended.
     pub(super) poses: Vec<PoseRow>,
-    /// The truth, if the source has one; also of frames that did not end.
+    /// The truth, if the source has one. It includes frames that did not end.
     pub(super) truth: Vec<TruthRow>,
     /// Numbers of the frames that ended.
     pub(super) frames: BTreeSet<u64>,
-    /// From each frame's publication to its end, summed, seconds.
+    /// Sum of the times from each frame's publication to its end, seconds.
     pub(super) work_s: f64,
-    /// From the first frame's end to the last one's, seconds.
+    /// Time from the end of the first frame to the end of the last one, seconds.
     pub(super) ends_s: f64,
 }
 
@@ -49,7 +49,7 @@ impl FlightRecord {
 }
 
 impl Laboratory {
-    /// Flights of at most so many frames. Progress is shown unless the result is JSON.
+    /// Prepares flights of at most `frames` frames. Progress is shown unless the result is JSON.
     pub(super) fn new(
         configuration: &Configuration,
         defaults: &[&str],
@@ -71,8 +71,8 @@ impl Laboratory {
         })
     }
 
-    /// The configuration of a flight with settings that override the user's, and the arguments that
-    /// give it to `flockeye up`.
+    /// The configuration of a flight, and its arguments for `flockeye up`. The settings `fixed`
+    /// override the user's.
     pub(super) fn plan(&self, fixed: &[String]) -> anyhow::Result<(Pipeline, Vec<OsString>)> {
         static FLIGHTS: AtomicU32 = AtomicU32::new(0);
         let flight = FLIGHTS.fetch_add(1, Ordering::Relaxed);
@@ -87,7 +87,7 @@ impl Laboratory {
         Ok((pipeline, self.configuration.to_arguments(&self.defaults, &fixed)))
     }
 
-    /// Flies once with planned arguments. `what` names the flight.
+    /// Runs a flight with planned arguments. `what` describes it in messages.
     pub(super) fn fly(&mut self, what: &str, plan: &[OsString]) -> anyhow::Result<FlightRecord> {
         if self.screen.is_live() {
             self.screen.table(&format!("{what} ..."));

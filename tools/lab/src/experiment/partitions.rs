@@ -18,7 +18,7 @@ pub(super) struct PaperPartition {
     count: usize,
     /// The circles' diameter, degrees.
     theta_deg: f64,
-    /// Frames a second.
+    /// Frames per second.
     frames_per_s: f64,
     /// Mean error, centimetres.
     error_cm: f64,
@@ -47,8 +47,8 @@ pub(super) struct PartitionOutcome {
     outcome: FlightOutcome,
 }
 
-/// Flies once for each number of views and method. As in the paper, frames are searched by its
-/// optimized search (Algorithm 1), and no filter links them.
+/// Runs a flight for each number of views and each method. As in the paper, frames are searched by
+/// its optimized search (Algorithm 1), without a filter.
 pub(super) fn run(
     arguments: &ComparisonArguments,
 ) -> anyhow::Result<BesidePaper<PartitionOutcome, PaperPartition>> {

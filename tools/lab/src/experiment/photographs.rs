@@ -1,4 +1,4 @@
-//! Our detector and OpenCV's on the same photographs.
+//! Comparison of our detector with OpenCV's on the same photographs.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -21,12 +21,12 @@ use serde::Serialize;
 
 /// Files with these endings are photographs.
 const ENDINGS: [&str; 3] = ["jpg", "jpeg", "png"];
-/// A photograph is taken to show so much from side to side, as most cameras do. What a mask hides
-/// depends on it, and whether four corners are a square's.
+/// Assumed horizontal field of a photograph, radians, typical of cameras. Masks and the test for
+/// squares depend on it.
 const FIELD_RAD: f64 = 1.1;
 /// Least side of a marker in each row of the table, pixels.
 const SIZES_PX: [f64; 5] = [0.0, 14.0, 20.0, 30.0, 60.0];
-/// Two markers of one id are the same if their centres are nearer than this share of their side.
+/// Largest distance between the centres of the same marker, as a share of its side.
 const SAME_PLACE_SHARE: f64 = 0.5;
 
 /// A marker in a photograph.
@@ -34,9 +34,9 @@ const SAME_PLACE_SHARE: f64 = 0.5;
 struct PhotographMarker {
     photograph: String,
     id: u32,
-    /// Its centre, pixels.
+    /// Centre of the marker, pixels.
     at: [f64; 2],
-    /// The side of a square of the same area, pixels.
+    /// Side of a square with the marker's area, pixels.
     side_px: f64,
 }
 
@@ -61,7 +61,7 @@ impl WrittenRow for CornerRow {
     }
 }
 
-/// What was found of one size.
+/// Counts of markers of one size.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 struct DetectorCounts {
     both: usize,
@@ -69,11 +69,11 @@ struct DetectorCounts {
     opencv_alone: usize,
 }
 
-/// What both detectors found.
+/// Markers that both detectors found.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub(super) struct PhotographComparison {
     photographs: usize,
-    /// By the index of [`SIZES_PX`].
+    /// Counts by the index in [`SIZES_PX`].
     by_size: BTreeMap<usize, DetectorCounts>,
     ours_alone: Vec<PhotographMarker>,
     opencv_alone: Vec<PhotographMarker>,
@@ -82,11 +82,11 @@ pub(super) struct PhotographComparison {
 }
 
 /// Searches each photograph of a folder with both detectors, and writes all corners to a file if
-/// one is named.
+/// one is given.
 ///
 /// # Errors
-/// No folder, no photograph in it, an unknown dictionary, or a file that cannot be written. A
-/// photograph that cannot be read is named.
+/// The folder or its photographs are missing, the dictionary is unknown, or a file cannot be
+/// written. An unreadable photograph is only reported.
 pub(super) fn compare(
     folder: &Path,
     dictionary: &str,
@@ -188,7 +188,7 @@ fn marker(photograph: &str, found: &MarkerInView) -> PhotographMarker {
 }
 
 impl PhotographComparison {
-    /// Adds what both found in one photograph.
+    /// Adds the markers that both detectors found in one photograph.
     fn add(&mut self, ours: Vec<PhotographMarker>, mut theirs: Vec<PhotographMarker>) {
         self.photographs += 1;
         for marker in ours {

@@ -13,11 +13,11 @@ use super::laboratory::Laboratory;
 /// A column of the paper's table.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub(super) struct PaperSearch {
-    /// The search.
+    /// Search mode.
     mode: &'static str,
     /// Frames in which the drone was localised.
     captured: usize,
-    /// Frames in which it could have been.
+    /// Frames in which the drone was in view.
     available: usize,
 }
 
@@ -37,7 +37,7 @@ pub(super) struct SearchOutcome {
     outcome: FlightOutcome,
 }
 
-/// Flies once for each mode; all else is as configured.
+/// Runs a flight for each mode. All other settings are as configured.
 pub(super) fn run(
     arguments: &ComparisonArguments,
 ) -> anyhow::Result<BesidePaper<SearchOutcome, PaperSearch>> {

@@ -1,8 +1,8 @@
-//! Facets on sheets.
+//! Layout of facets on sheets.
 
 use super::page::{Ink, Paper, PaperDrawing};
 
-/// The margin that printers leave white, and the space between facets.
+/// The margin of the sheet, which printers leave white, and the space between facets.
 const MARGIN_MM: f64 = 10.0;
 const GAP_MM: f64 = 4.0;
 /// Room for the title above and for the ruler below.

@@ -1,4 +1,4 @@
-//! What is on a sheet, in millimetres from its top left corner.
+//! The shapes on a sheet, in millimetres from its top left corner.
 
 use clap::ValueEnum;
 
@@ -36,7 +36,7 @@ impl Paper {
 pub struct PaperDrawing {
     /// Width and height, millimetres.
     pub size_mm: [f64; 2],
-    /// What is on it, the lowest first. The ground itself is white.
+    /// The shapes, the lowest first. The background is white.
     pub shapes: Vec<Ink>,
 }
 
@@ -44,20 +44,20 @@ pub struct PaperDrawing {
 pub enum Ink {
     /// A black area with holes: the loops are filled by the even-odd rule.
     Black(Vec<Vec<[f64; 2]>>),
-    /// A closed grey line of a fifth of a millimetre: where to cut.
+    /// A closed grey line for cutting, 0.2 mm wide.
     Outline { corners: Vec<[f64; 2]> },
     /// A text, from the left end of its baseline.
     Text {
-        /// Where.
+        /// Left end of the baseline, millimetres.
         at: [f64; 2],
         height_mm: f64,
-        /// ASCII.
+        /// The text, ASCII only.
         text: String,
     },
 }
 
 impl Ink {
-    /// The shape moved by so many millimetres.
+    /// The shape, moved by `x` and `y` millimetres.
     pub fn moved(&self, [x, y]: [f64; 2]) -> Self {
         let place = |points: &[[f64; 2]]| points.iter().map(|p| [p[0] + x, p[1] + y]).collect();
         match self {

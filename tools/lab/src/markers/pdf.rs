@@ -1,4 +1,4 @@
-//! Sheets as PDF (ISO 32000-1), as plain as it can be: no compression, the built-in Helvetica.
+//! Sheets as a minimal PDF (ISO 32000-1): no compression, the built-in Helvetica.
 
 use std::fmt::Write;
 
@@ -53,7 +53,7 @@ fn content(page: &PaperDrawing) -> String {
                 writeln!(text, "0 g {path}f*")
             }
             Ink::Outline { corners } => writeln!(text, "0.2 w 0.53 G {}S", path(corners)),
-            // Upright again: the page's y goes down.
+            // Text is mirrored back, because the page's y axis points down.
             Ink::Text { at: [x, y], height_mm, text: words } => writeln!(
                 text,
                 "0 g BT /F1 {height_mm} Tf 1 0 0 -1 {x:.4} {y:.4} Tm ({}) Tj ET",
@@ -72,7 +72,7 @@ fn path(points: &[[f64; 2]]) -> String {
     path + "h "
 }
 
-/// Escapes a PDF text: brackets would end it, and other letters than ASCII would garble it.
+/// Escapes a PDF text. Parentheses would end it, and only ASCII letters are encoded correctly.
 fn escaped(text: &str) -> String {
     text.chars()
         .map(|letter| match letter {

@@ -11,7 +11,7 @@ use super::page::{Ink, PaperDrawing};
 const LABEL_MM: f64 = 5.0;
 const UP_MARK_MM: f64 = 3.5;
 
-/// The name of a facet, and its drawing with a label: seen from outside, the marker upright.
+/// The name of a facet, and its drawing with a label, seen from outside with the marker upright.
 pub(super) fn piece(
     facet: &Facet,
     body: &Body,
@@ -41,7 +41,7 @@ pub(super) fn piece(
         None => "blank".to_owned(),
     };
     let mut shapes: Vec<Ink> = shapes.iter().map(|shape| shape.moved(offset)).collect();
-    // Outside of the facet, so that the print stays as it was designed.
+    // The up mark is outside of the facet, so that the print is not changed.
     let middle = width / 2.0;
     shapes.push(Ink::Black(vec![vec![
         [middle, 0.0],
@@ -54,7 +54,7 @@ pub(super) fn piece(
     Ok((name, PaperDrawing { size_mm: [width, UP_MARK_MM + height + LABEL_MM], shapes }))
 }
 
-/// The direction that is up on a facet: the top of its marker, else +z, or +x on a horizontal
+/// The up direction of a facet: towards the top of its marker, else +z, or +x on a horizontal
 /// facet.
 fn up_of(facet: &Facet, marker: Option<&Marker>) -> Vector3<f64> {
     let towards = match marker {

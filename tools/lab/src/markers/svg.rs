@@ -1,4 +1,4 @@
-//! A sheet as SVG: a user unit is a millimetre.
+//! A sheet as SVG. A user unit is a millimetre.
 
 use std::fmt::Write;
 

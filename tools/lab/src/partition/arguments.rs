@@ -42,10 +42,10 @@ pub struct PartitionArguments {
     pub picture: Option<PathBuf>,
 }
 
-/// Numbers of views. By this name clap takes them for one value.
+/// Numbers of views. clap would treat a plain `Vec` field as an option with several values.
 pub type ViewCounts = Vec<usize>;
 
-/// Reads how the directions of a partition are found.
+/// Parser of the method that finds the directions of a partition.
 fn methods() -> impl TypedValueParser<Value = Method> {
     let names = [
         PossibleValue::new("covering").help("The smallest circles"),
@@ -57,7 +57,7 @@ fn methods() -> impl TypedValueParser<Value = Method> {
     })
 }
 
-/// Reads numbers of views: `12`, `6,12,24`, `4..32`.
+/// Parses numbers of views: `12`, `6,12,24`, `4..32`.
 pub fn counts(text: &str) -> Result<ViewCounts, String> {
     let number = |text: &str| {
         let number = text.trim().parse::<usize>();
@@ -82,7 +82,7 @@ pub fn counts(text: &str) -> Result<ViewCounts, String> {
     Ok(counts)
 }
 
-/// Reads weights: `0.2,0.02,0.78`.
+/// Parses weights: `0.2,0.02,0.78`.
 pub fn weights(text: &str) -> Result<Criterion, String> {
     let numbers = text.split(',').map(|part| part.trim().parse::<f64>());
     let numbers = numbers.collect::<Result<Vec<_>, _>>().ok();

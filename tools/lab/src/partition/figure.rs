@@ -15,8 +15,8 @@ const BOTTOM: f64 = 490.0;
 /// The three configurations in the paper's table: N and theta, degrees.
 const PAPERS_OWN: [(usize, f64); 3] = [(6, 110.0), (12, 74.0), (24, 62.0)];
 
-/// Number of views against the pixels of all circles, the points as large as theta: both methods,
-/// and the paper's own three.
+/// Draws the pixels of all circles over the number of views, for both methods and the paper's three
+/// partitions. The size of a point shows theta.
 pub(super) fn draw(arguments: &PartitionArguments) -> Result<String, PartitionError> {
     let series = |method| -> Result<Vec<(usize, f64)>, PartitionError> {
         let found = arguments.counts.iter().map(|&count| {
@@ -57,12 +57,12 @@ pub(super) fn draw(arguments: &PartitionArguments) -> Result<String, PartitionEr
     Ok(svg.finish())
 }
 
-/// The paper's p of N circles, sphere images.
+/// The paper's p of N circles, in sphere images.
 fn images(count: usize, theta_deg: f64) -> f64 {
     Terms::new(count, theta_deg.to_radians()).pixels
 }
 
-/// Where N and images lie on the paper.
+/// The ranges of N and p on the axes.
 struct Axes {
     counts: (f64, f64),
     images: (f64, f64),

@@ -1,4 +1,4 @@
-//! One partition on the sphere, from ahead and from behind, and on the sphere image.
+//! Drawing of a partition on the sphere, seen from ahead and from behind, and on the sphere image.
 
 use std::f64::consts::{PI, TAU};
 
@@ -13,12 +13,12 @@ const GLOBE: f64 = 230.0;
 const IMAGE_WIDTH: f64 = 960.0;
 const IMAGE_TOP: f64 = 540.0;
 
-/// A hue that neighbours in the order do not share: steps of the golden angle.
+/// A hue for each index. Steps of the golden angle give neighbours different hues.
 fn hue(index: usize) -> f64 {
     (137.508 * index as f64) % 360.0
 }
 
-/// Circles (thin) and views (thick), each with its number in the middle.
+/// Draws circles (thin) and views (thick), each with its number in the middle.
 pub(super) fn draw(partition: &Partition, margin_rad: f64) -> Result<String, PartitionError> {
     let views = partition.views(margin_rad, 1000.0)?;
     let radius_rad = partition.covering_diameter_rad() / 2.0;
@@ -78,7 +78,7 @@ pub(super) fn draw(partition: &Partition, margin_rad: f64) -> Result<String, Par
     Ok(svg.finish())
 }
 
-/// Where the sphere image shows a ray.
+/// The position of a ray on the sphere image.
 fn on_image(ray: &Ray) -> (f64, f64) {
     let across = 0.5 - ray.y.atan2(ray.x) / TAU;
     let down = 0.5 - ray.z.clamp(-1.0, 1.0).asin() / PI;
@@ -110,7 +110,7 @@ fn square(view: &View) -> Vec<Ray> {
     corners.windows(2).flat_map(side).collect()
 }
 
-/// Draws an outline, in pieces where it is hidden or leaves the image on one side.
+/// Draws an outline. It is split where it is hidden or crosses the edge of the image.
 fn paths(svg: &mut Svg, outline: &[Ray], place: impl Fn(&Ray) -> Option<(f64, f64)>, style: &str) {
     let mut piece: Vec<(f64, f64)> = Vec::new();
     for ray in outline {

@@ -8,30 +8,30 @@ use serde::Serialize;
 
 use super::arguments::PartitionArguments;
 
-/// What a partition costs.
+/// Properties and cost of a partition.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct PartitionRow {
     /// The paper's N.
     pub count: usize,
     /// The paper's theta, the circles' diameter, degrees.
     pub theta_deg: f64,
-    /// The paper's p, pixels of all circles, as it is meant: N theta^2/360^2 h w.
+    /// The paper's p, pixels of all circles: N theta^2/360^2 h w.
     pub pixels: f64,
     /// The paper's d, the stretch at the circles' rim.
     pub stretch: f64,
-    /// The criterion's value.
+    /// Value of the criterion.
     pub cost: f64,
-    /// Area of all circles over that of the sphere.
+    /// Area of all circles divided by the area of the sphere.
     pub overlap: f64,
-    /// The square views with the margin; none where a flat image has no such field.
+    /// The square views with the margin; none if the field is too wide for a flat image.
     pub views: Option<SquareViews>,
-    /// Middles of the circles and views, unit vectors in the camera frame.
+    /// Centres of the circles and views, unit vectors in the camera frame.
     pub directions: Vec<[f64; 3]>,
     /// Rolls of the views, degrees from upright.
     pub rolls_deg: Vec<f64>,
 }
 
-/// What square views cost.
+/// Properties of square views.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct SquareViews {
     /// Field along a side, degrees.
@@ -40,26 +40,26 @@ pub struct SquareViews {
     pub size_px: u32,
     /// Pixels of all views.
     pub pixels: f64,
-    /// Pixels of the upright squares round the circles.
+    /// Pixels of the upright squares around the circles.
     pub circumscribed_pixels: Option<f64>,
-    /// Area of all views over that of the sphere.
+    /// Area of all views divided by the area of the sphere.
     pub overlap: f64,
 }
 
-/// All of it.
+/// The whole table.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct PartitionTable {
     /// covering or paper.
     pub method: &'static str,
-    /// The random start.
+    /// Seed of the random start.
     pub seed: u64,
-    /// What is this wide lies wholly in one view, degrees.
+    /// Largest width of an object that is always completely in one view, degrees.
     pub margin_deg: f64,
     /// Size of the sphere image, pixels.
     pub image_px: [u32; 2],
     /// alpha1, alpha2, alpha3.
     pub weights: [f64; 3],
-    /// The number of views of least cost among the stored coverings.
+    /// The number of views with the least cost among the stored coverings.
     pub choice: usize,
     /// A row for each number of views.
     pub partitions: Vec<PartitionRow>,
@@ -119,7 +119,7 @@ impl SquareViews {
     }
 }
 
-/// To some decimals: the last digits differ from machine to machine.
+/// Rounds to some decimals, because the last digits differ between machines.
 fn rounded(value: f64, decimals: i32) -> f64 {
     let scale = 10f64.powi(decimals);
     (value * scale).round() / scale
@@ -164,7 +164,7 @@ impl PartitionTable {
 
 impl fmt::Display for PartitionTable {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        // The first line says what the columns below it are of.
+        // The first line of each title is the heading of a group of columns.
         let titles = [
             "\nN",
             "circles\ntheta °",

@@ -1,4 +1,4 @@
-//! Points and lines over two axes.
+//! Charts with points and lines over two axes.
 
 use crate::svg::{Svg, escaped};
 
@@ -7,31 +7,31 @@ const WIDTH: f64 = 860.0;
 const LEFT: f64 = 74.0;
 const RIGHT: f64 = 850.0;
 const TOP: f64 = 34.0;
-/// Below the frame: numbers and the axis' name.
+/// Height below the frame, for numbers and the name of the axis.
 const FOOT: f64 = 46.0;
 
-/// How samples are shown.
+/// The mark of samples.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Mark {
-    /// Joined; each piece by itself.
+    /// A line for each piece.
     Line,
-    /// A dot each.
+    /// A dot for each sample.
     Dots,
 }
 
-/// Some samples.
+/// A series of samples.
 pub(super) struct ChartSeries {
-    /// What the legend calls them.
+    /// Name in the legend.
     pub(super) name: &'static str,
-    /// Their class in the page's style: their colour.
+    /// Class in the page's style, which sets the colour.
     pub(super) class: &'static str,
-    /// How they are shown.
+    /// Mark of the samples.
     pub(super) mark: Mark,
-    /// In pieces that are not joined.
+    /// The samples in pieces, which are not connected.
     pub(super) pieces: Vec<Vec<(f64, f64)>>,
 }
 
-/// How numbers lie along an axis.
+/// The scale of an axis.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Axis {
     low: f64,
@@ -40,28 +40,28 @@ pub(super) struct Axis {
 }
 
 impl Axis {
-    /// Evenly, round all values and at least `least` wide.
+    /// A linear scale that contains all values and is at least `least` wide.
     pub(super) fn even(values: impl Iterator<Item = f64>, least: f64) -> Self {
         let (low, high) = span(values);
         let widen = ((least - (high - low)) / 2.0).max(0.03 * (high - low));
         Self { low: low - widen, high: high + widen, is_log: false }
     }
 
-    /// By whole decades; values that have no logarithm are not shown.
+    /// A logarithmic scale of whole decades. Values without a logarithm are not shown.
     pub(super) fn decades(values: impl Iterator<Item = f64>) -> Self {
         let (low, high) = span(values.filter(|value| *value > 0.0).map(f64::log10));
         let (low, high) = (low.floor(), high.ceil());
         Self { low, high: high.max(low + 1.0), is_log: true }
     }
 
-    /// Where a value lies, 0 to 1; `None` outside.
+    /// Position of a value on the axis, 0 to 1; `None` outside.
     fn place(&self, value: f64) -> Option<f64> {
         let value = if self.is_log { value.log10() } else { value };
         let share = (value - self.low) / (self.high - self.low);
         (-1e-9..=1.0 + 1e-9).contains(&share).then_some(share)
     }
 
-    /// Numbers to write at it, with their text.
+    /// The labelled values of the axis, with their texts.
     fn ticks(&self) -> Vec<(f64, String)> {
         if self.is_log {
             let decades = self.low as i32..=self.high as i32;
@@ -81,7 +81,7 @@ impl Axis {
     }
 }
 
-/// The smallest and the largest; 0 and 1 of nothing.
+/// The smallest and the largest value; 0 and 1 without values.
 fn span(values: impl Iterator<Item = f64>) -> (f64, f64) {
     let ends = values.filter(|value| value.is_finite()).fold(None, |ends, value| {
         let (low, high): (f64, f64) = ends.unwrap_or((value, value));
@@ -90,77 +90,58 @@ fn span(values: impl Iterator<Item = f64>) -> (f64, f64) {
     ends.unwrap_or((0.0, 1.0))
 }
 
-/// The next of 1, 2, 5, 10, 20, .. from a step on.
+/// The next number of 1, 2, 5, 10, 20, .. that is not smaller than a step.
 fn round_step(step: f64) -> f64 {
     let decade = 10f64.powf(step.log10().floor());
     let factor = [1.0, 2.0, 5.0].into_iter().find(|factor| factor * decade >= step * 0.999);
     factor.unwrap_or(10.0) * decade
 }
 
-/// A chart.
-pub(super) struct Chart {
-    /// What it shows.
-    pub(super) title: String,
-    /// The horizontal axis and its name, with its unit.
-    pub(super) x: (Axis, &'static str),
-    /// The vertical axis and its name, with its unit.
-    pub(super) y: (Axis, String),
-    /// Height of the drawing.
-    pub(super) height: f64,
-    /// What is drawn, the first at the back.
-    pub(super) series: Vec<ChartSeries>,
-}
-
-impl Chart {
-    /// As an element of the page.
-    pub(super) fn draw(&self) -> String {
-        let mut svg = Svg::new(WIDTH, self.height);
-        let bottom = self.height - FOOT;
-        let across = |share: f64| LEFT + share * (RIGHT - LEFT);
-        let up = |share: f64| bottom - share * (bottom - TOP);
-        for (value, text) in self.x.0.ticks() {
-            if let Some(x) = self.x.0.place(value).map(across) {
-                svg.line(&[(x, TOP), (x, bottom)], r#"class="grid""#);
-                svg.text((x, bottom + 18.0), r#"text-anchor="middle""#, &text);
-            }
+/// Draws series over two axes as an element of the page, the first series at the back. The name of
+/// each axis contains its unit.
+pub(super) fn draw(
+    title: &str,
+    (x_axis, x_name): (Axis, &str),
+    (y_axis, y_name): (Axis, &str),
+    height: f64,
+    series: &[ChartSeries],
+) -> String {
+    let mut svg = Svg::new(WIDTH, height);
+    let bottom = height - FOOT;
+    let across = |share: f64| LEFT + share * (RIGHT - LEFT);
+    let up = |share: f64| bottom - share * (bottom - TOP);
+    for (value, text) in x_axis.ticks() {
+        if let Some(x) = x_axis.place(value).map(across) {
+            svg.line(&[(x, TOP), (x, bottom)], r#"class="grid""#);
+            svg.text((x, bottom + 18.0), r#"text-anchor="middle""#, &text);
         }
-        for (value, text) in self.y.0.ticks() {
-            if let Some(y) = self.y.0.place(value).map(up) {
-                svg.line(&[(LEFT, y), (RIGHT, y)], r#"class="grid""#);
-                svg.text((LEFT - 8.0, y + 4.5), r#"text-anchor="end""#, &text);
-            }
-        }
-        let frame = [(LEFT, TOP), (LEFT, bottom), (RIGHT, bottom)];
-        svg.line(&frame, r#"class="axis""#);
-        let middle = (TOP + bottom) / 2.0;
-        let upright = format!(r#"text-anchor="middle" transform="rotate(-90 18 {middle:.1})""#);
-        svg.text((18.0, middle), &upright, &escaped(&self.y.1));
-        svg.text(((LEFT + RIGHT) / 2.0, self.height - 8.0), r#"text-anchor="middle""#, self.x.1);
-        let mut legend = LEFT;
-        for series in self.series.iter().filter(|series| !series.pieces.is_empty()) {
-            self.draw_series(&mut svg, series, |(x, y)| {
-                Some((across(self.x.0.place(x)?), up(self.y.0.place(y)?)))
-            });
-            draw_key(&mut svg, (legend, TOP - 15.0), series);
-            legend += 40.0 + 8.0 * series.name.chars().count() as f64;
-        }
-        svg.finish_in_page(&self.title, "")
     }
-
-    fn draw_series(
-        &self,
-        svg: &mut Svg,
-        series: &ChartSeries,
-        place: impl Fn((f64, f64)) -> Option<(f64, f64)>,
-    ) {
+    for (value, text) in y_axis.ticks() {
+        if let Some(y) = y_axis.place(value).map(up) {
+            svg.line(&[(LEFT, y), (RIGHT, y)], r#"class="grid""#);
+            svg.text((LEFT - 8.0, y + 4.5), r#"text-anchor="end""#, &text);
+        }
+    }
+    let frame = [(LEFT, TOP), (LEFT, bottom), (RIGHT, bottom)];
+    svg.line(&frame, r#"class="axis""#);
+    let middle = (TOP + bottom) / 2.0;
+    let upright = format!(r#"text-anchor="middle" transform="rotate(-90 18 {middle:.1})""#);
+    svg.text((18.0, middle), &upright, &escaped(y_name));
+    svg.text(((LEFT + RIGHT) / 2.0, height - 8.0), r#"text-anchor="middle""#, x_name);
+    let mut legend = LEFT;
+    for series in series.iter().filter(|series| !series.pieces.is_empty()) {
+        let place = |&(x, y): &(f64, f64)| Some((across(x_axis.place(x)?), up(y_axis.place(y)?)));
         for piece in &series.pieces {
-            let points: Vec<_> = piece.iter().copied().filter_map(&place).collect();
+            let points: Vec<_> = piece.iter().filter_map(place).collect();
             match series.mark {
                 Mark::Line => svg.line(&points, &format!(r#"class="{}""#, series.class)),
-                Mark::Dots => points.iter().for_each(|&point| dot(svg, point, series.class)),
+                Mark::Dots => points.iter().for_each(|&point| dot(&mut svg, point, series.class)),
             }
         }
+        draw_key(&mut svg, (legend, TOP - 15.0), series);
+        legend += 40.0 + 8.0 * series.name.chars().count() as f64;
     }
+    svg.finish_in_page(title, "")
 }
 
 fn draw_key(svg: &mut Svg, (x, y): (f64, f64), series: &ChartSeries) {
@@ -171,7 +152,7 @@ fn draw_key(svg: &mut Svg, (x, y): (f64, f64), series: &ChartSeries) {
     svg.text((x + 28.0, y + 4.5), "", series.name);
 }
 
-/// A dot of a colour of the page.
+/// Draws a dot in the colour of a class.
 fn dot(svg: &mut Svg, (x, y): (f64, f64), class: &str) {
     svg.element(format_args!(r#"<circle cx="{x:.1}" cy="{y:.1}" r="1.9" class="{class}"/>"#));
 }

@@ -1,4 +1,4 @@
-//! The path of a body round the observer, in space.
+//! The path of a body around the observer, in space.
 
 use nalgebra::{Rotation3, Vector3};
 
@@ -6,16 +6,15 @@ use crate::svg::Svg;
 
 const SIDE: f64 = 300.0;
 
-/// The true and the measured positions of a body, in pieces that are not joined, seen from above,
-/// from the right, and at a slant. The last drawing can be turned with the
-/// mouse where scripts run.
+/// Draws the true and the measured positions of a body from above, from the right, and at a slant.
+/// Pieces are not connected. A script of the page turns the last drawing with the mouse.
 pub(super) fn draw(
     body: &str,
     truth: &[Vec<Vector3<f64>>],
     measured: &[Vec<Vector3<f64>>],
 ) -> String {
     let slant = Rotation3::from_euler_angles(0.0, 0.5, 0.6);
-    // With the directions that are right and up on the drawing.
+    // Each has the directions that are right and up on the drawing.
     let viewpoints = [
         ("from above", -Vector3::y(), Vector3::x()),
         ("from the right", Vector3::x(), Vector3::z()),

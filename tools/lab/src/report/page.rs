@@ -1,4 +1,4 @@
-//! The page round the figures.
+//! The HTML page with tables and figures.
 
 use flockeye_geometry::pose::{FALSE_POSITION_M, FALSE_ROTATION_RAD};
 use maud::{DOCTYPE, Markup, PreEscaped, html};
@@ -40,7 +40,7 @@ circle.pose { fill: var(--pose) }
 circle.coast { fill: var(--coast) }
 ";
 
-/// The page: what was compared, the results, and each body's figures with their captions.
+/// The page: the compared files, the results, and each body's figures with captions.
 pub(super) fn page(
     source: &str,
     evaluation: &Evaluation,
@@ -102,7 +102,7 @@ fn summary(evaluation: &Evaluation) -> Markup {
     }
 }
 
-/// The columns of [`bins`]: what they are of, and the title of each.
+/// The columns of [`bins`]: heading and titles of each group.
 const GROUPS: [(&str, &[&str]); 7] = [
     ("", &["distance, m", "eligible", "measured", "share"]),
     ("position, mm", &["mean", "median", "95 %", "worst"]),
@@ -133,7 +133,7 @@ fn bins<'a>(evaluation: &'a Evaluation, errors: impl Fn(&'a Bin) -> Option<&'a E
     }
 }
 
-/// The errors of a row of [`bins`], from the position on.
+/// The error cells of a row of [`bins`], beginning with the position.
 fn cells(errors: &Errors) -> [String; 14] {
     [
         fixed(errors.position_mm.mean, 1),
@@ -224,7 +224,7 @@ fn false_poses(evaluation: &Evaluation) -> Markup {
     }
 }
 
-/// A number with so many decimals.
+/// A number with `decimals` decimals.
 fn fixed(number: f64, decimals: usize) -> String {
     format!("{number:.decimals$}")
 }

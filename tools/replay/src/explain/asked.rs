@@ -1,4 +1,4 @@
-//! The question: the command line of `explain`.
+//! The command line of `explain`.
 
 use std::path::PathBuf;
 
@@ -37,23 +37,23 @@ pub struct ExplainArguments {
 /// The way in which a frame is named.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum When {
-    /// The last one that was exposed by then, seconds since the recording began.
+    /// The last frame that was exposed at or before this time, seconds since the recording began.
     At(f64),
-    /// The first one with this number.
+    /// The first frame with this number.
     Frame(u64),
-    /// The one with this number, of this process and stream of the source.
+    /// The frame with this number, of this process and stream of the source.
     Exactly {
-        /// `source_generation` of its stamp.
+        /// `source_generation` of the frame's stamp.
         source: u32,
-        /// `epoch` of its stamp.
+        /// `epoch` of the frame's stamp.
         epoch: u32,
-        /// `sequence` of its stamp.
+        /// `sequence` of the frame's stamp.
         number: u64,
     },
 }
 
 impl ExplainArguments {
-    /// The frame that is asked for.
+    /// The requested frame.
     pub fn when(&self) -> anyhow::Result<When> {
         Ok(match (&self.at, &self.frame) {
             (_, Some(frame)) => named(frame)?,
@@ -63,7 +63,7 @@ impl ExplainArguments {
     }
 }
 
-/// Reads a frame: its number alone, or source, epoch and number.
+/// Parses a frame: its number, or source, epoch and number.
 fn named(text: &str) -> anyhow::Result<When> {
     let parts: Vec<&str> = text.trim().split('.').collect();
     let read = || match parts[..] {
@@ -78,7 +78,7 @@ fn named(text: &str) -> anyhow::Result<When> {
     read().with_context(|| format!("--frame {text}: is no frame. Cure: 38, or 1.0.38"))
 }
 
-/// Reads a time as people write it, seconds.
+/// Parses a time such as 12.3s, 900ms or 2min, in seconds.
 fn seconds(text: &str) -> anyhow::Result<f64> {
     let text = text.trim();
     let units = [("ms", 1e-3), ("min", 60.0), ("s", 1.0), ("", 1.0)];

@@ -1,4 +1,4 @@
-//! What `explain` says of each frame of a flight is what fusion decided there.
+//! Test: for each frame of a flight the output of `explain` is equal to the decisions of fusion.
 
 #![allow(clippy::unwrap_used)]
 
@@ -15,12 +15,12 @@ use super::{facts, text};
 use crate::fixtures::stamp;
 use crate::flights::{Recording, flown_on_with_account, resolved};
 
-/// Alpha.
+/// Target number of alpha.
 const TARGET: usize = 0;
 /// Frames of the flight.
 const FRAMES: u64 = 7;
 
-/// All that is known of alpha in a frame.
+/// The known facts about alpha in a frame.
 fn known(resolved: &Resolved, recording: &Recording, stamp: FrameStamp) -> FrameKnowledge {
     let mut gathered = StageMessages::of(stamp, TARGET as u32);
     let mut session = Session::begin(resolved, TARGET, stamp);
@@ -46,7 +46,7 @@ fn assert_same_hypotheses(said: &PassFacts, trial: &Trial) {
     }
 }
 
-/// The pose that was published is the one that was decided on.
+/// The published pose is the one of the decision.
 fn assert_same_result(resolved: &Resolved, explanation: &FrameExplanation, trial: &Trial) {
     let Outcome::Published(measurement) = trial.outcome else { return };
     let result = explanation.result.as_ref().unwrap();

@@ -1,59 +1,58 @@
-//! The answer, as data: what `--json` prints. Angles are degrees, lengths metres, poses those of
-//! the target drone in the observer's frame. What is not known is null.
+//! The answer as data, which `--json` prints. Angles are in degrees and lengths in metres. Poses
+//! are those of the target drone in the observer's frame. Unknown values are null.
 
 use flockeye_contract::{MeasuredBy, StopReason, TrackState, ViewKind};
 use serde::Serialize;
 
-/// Why a frame gave this pose of a target, or none.
+/// The reason why a frame gave this pose of a target, or none.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct FrameExplanation {
     pub recording: String,
     pub target: String,
     pub frame: FrameFacts,
-    /// The step that decided.
+    /// The step that decided the result.
     pub step: DecisiveStep,
-    /// The same in plain words.
+    /// The step as a sentence.
     pub why: String,
     /// The track before the frame.
     pub before: BeforeFacts,
     /// The views of the frame, and those of its plan that were not cut.
     pub views: Vec<ViewFacts>,
-    /// In how many frames the place is searched next; null: not among those that were looked
-    /// through.
+    /// Number of frames until the place is searched next; null: not in the frames that were read.
     pub next_search_in: Option<u64>,
-    /// What was found of the target.
+    /// Markers of the target, and squares that may be markers.
     pub markers: Vec<MarkerFacts>,
-    /// What fusion tried; empty where it could not be replayed.
+    /// Passes of fusion; empty if fusion could not be replayed.
     pub passes: Vec<PassFacts>,
-    /// What was published.
+    /// The published result.
     pub result: Option<ResultFacts>,
-    /// What the source knows.
+    /// The truth from a simulated source.
     pub truth: Option<TruthFacts>,
-    /// Another body that is in front.
+    /// Name of another body in front of the target.
     pub hidden_by: Option<String>,
-    /// How far the answer can be relied on.
+    /// Reliability of the answer.
     pub reliance: Reliance,
 }
 
-/// The step of the pipeline that decided.
+/// The step of the pipeline that decided the result.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum DecisiveStep {
     /// The target was measured.
     Measured,
-    /// A pose was measured when the frame had ended: it only corrected the track.
+    /// A pose was measured after the end of the frame, and only corrected the track.
     TooLate,
-    /// A pose that is not precise corrected the track.
+    /// An imprecise pose corrected the track.
     Imprecise,
-    /// A pose was found where the track cannot be.
+    /// A pose was found outside of the track's gate.
     OutsideGate,
     /// The recording has no end of the frame.
     NotEnded,
-    /// Nothing says where the target might be.
+    /// No expected place of the target is known.
     NoPlaceKnown,
     /// No view of the frame shows the place.
     OutsideViews,
-    /// The tile of the place had no turn in this frame.
+    /// The tile of the place was not searched in this frame.
     NotItsTurn,
     /// The region of interest was planned and not cut.
     Abandoned,
@@ -65,46 +64,46 @@ pub enum DecisiveStep {
     NothingFound,
     /// Squares were found that could not be decoded.
     NothingDecoded,
-    /// Poses were found, and the picture says too little for all of them.
+    /// Poses were found, but the picture supports none of them enough.
     BelowThreshold,
-    /// A pose was likely, and so was another.
+    /// Two different poses were likely.
     Rivals,
-    /// Markers were decoded, and their corners alone say too little.
+    /// Markers were decoded, but their corners alone do not determine a pose.
     TooFewCorners,
-    /// What was found led to no pose; why cannot be told from messages alone.
+    /// The detections led to no pose. The messages alone do not show the reason.
     Untold,
 }
 
-/// The frame.
+/// Facts about the frame.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct FrameFacts {
-    /// Its number.
+    /// Sequence number.
     pub sequence: u64,
     pub epoch: u32,
-    /// When it was exposed, seconds since the recording began.
+    /// Exposure, seconds since the recording began.
     pub at_s: f64,
-    /// The plan that it followed; 0: none.
+    /// The plan that the frame followed; 0: none.
     pub plan_id: Option<u64>,
     /// Views that were cut.
     pub views_issued: Option<u32>,
-    /// Views of the plan that were not.
+    /// Views of the plan that were not cut.
     pub views_abandoned: Option<u32>,
-    /// Why no more were cut.
+    /// The reason why no more views were cut.
     pub stopped: Option<StopReason>,
 }
 
 /// The track before the frame.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct BeforeFacts {
-    /// Its state; null: there was none.
+    /// State of the track; null: there was no track.
     pub state: Option<TrackState>,
-    /// Its number.
+    /// Number of the track.
     pub track_id: Option<u32>,
-    /// Where it was predicted for this frame.
+    /// Predicted pose for this frame.
     pub predicted: Option<PoseFacts>,
-    /// How certain that is.
+    /// Standard deviations of that pose.
     pub deviations: Option<Deviations>,
-    /// The last frame that measured the target, what by, and how long ago it was exposed, seconds.
+    /// The last frame that measured the target.
     pub measured_in: Option<u64>,
     /// See `measured_in`.
     pub measured_by: Option<MeasuredBy>,
@@ -115,15 +114,15 @@ pub struct BeforeFacts {
 /// A pose of the target drone in the observer's frame.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct PoseFacts {
-    /// Metres.
+    /// Position, metres.
     pub position: [f64; 3],
-    /// x y z w.
+    /// Orientation: quaternion x, y, z, w.
     pub orientation: [f64; 4],
-    /// Its distance, metres.
+    /// Distance, metres.
     pub range_m: f64,
-    /// To the left of the observer's nose.
+    /// Azimuth from the observer's x axis, positive to the left.
     pub bearing_deg: f64,
-    /// Above the observer's plane.
+    /// Elevation above the observer's x-y plane.
     pub elevation_deg: f64,
 }
 
@@ -131,29 +130,28 @@ pub struct PoseFacts {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Deviations {
     pub position_m: f64,
-    /// Of the attitude.
+    /// Standard deviation of the orientation.
     pub rotation_deg: f64,
 }
 
 /// A view of the frame or of its plan.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ViewFacts {
-    /// Its place in the plan.
+    /// Index of the view in the plan.
     pub view_index: u32,
-    /// What kind.
+    /// Kind of the view.
     pub kind: Option<ViewKind>,
     /// The number of the tile.
     pub tile: Option<u32>,
     /// The name of the target whose region it is.
     pub region_of: Option<String>,
-    /// Whether it shows the place where the target is predicted, or is by the truth; null: no such
-    /// place is known.
+    /// Whether the view shows the predicted or true place of the target; null: no place is known.
     pub shows_place: Option<bool>,
-    /// Whether it was cut.
+    /// Whether the view was cut.
     pub is_cut: bool,
-    /// Whether it was answered by detection.
+    /// Whether detection has answered the view.
     pub is_answered: bool,
-    /// Whether it was to be searched for markers.
+    /// Whether the view was meant to be searched for markers.
     pub is_searched: bool,
     /// Whether the search failed.
     pub has_failed: bool,
@@ -168,18 +166,17 @@ pub struct ViewFacts {
 pub struct MarkerFacts {
     pub id: u32,
     pub view_index: u32,
-    /// Whether it was decoded. A square that was not is only a place to start from.
+    /// Whether the marker was decoded. Other squares are only starting points for alignment.
     pub is_decoded: bool,
-    /// Whether it was seen where the target is expected; null: no such place is known.
+    /// Whether the marker is near the expected place of the target; null: no place is known.
     pub is_at_place: Option<bool>,
-    /// The distance of its corners from where the frame's pose has them, root mean square, pixels
-    /// of the view.
+    /// Residual of the corners relative to a pose, root mean square, pixels of the view.
     pub residual_px: Option<f64>,
-    /// The pose that this is about.
+    /// The pose of the residual.
     pub residual_of: Option<ResidualOf>,
 }
 
-/// The pose that residuals are about.
+/// The pose to which residuals are relative.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ResidualOf {
@@ -194,13 +191,13 @@ pub enum ResidualOf {
 /// A pass of fusion over the target, or why it did not run.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct PassFacts {
-    /// Which.
+    /// Name of the pass.
     pub pass: &'static str,
-    /// Why it did not run.
+    /// The reason why the pass did not run.
     pub not_run: Option<&'static str>,
-    /// The view whose pixels it read.
+    /// The view whose pixels the pass used.
     pub view_index: Option<u32>,
-    /// Whether it had time for one start alone.
+    /// Whether the pass had time for only one starting pose.
     pub is_late: bool,
     /// Whether rough starts and the search were left to the background pass.
     pub is_deferred: bool,
@@ -212,7 +209,7 @@ pub struct PassFacts {
     pub corner_poses: Vec<CornerFacts>,
     /// Poses that were compared with the picture.
     pub hypotheses: Vec<HypothesisFacts>,
-    /// What it led to.
+    /// Result of the pass.
     pub outcome: Option<&'static str>,
 }
 
@@ -220,116 +217,116 @@ pub struct PassFacts {
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct CornerFacts {
     pub pose: PoseFacts,
-    /// Its cost, in squared standard deviations.
+    /// Cost of the pose, in squared standard deviations.
     pub cost: f64,
-    /// Ids of the markers that agree with it.
+    /// Ids of the markers that fit the pose.
     pub agreeing: Vec<u32>,
-    /// Ids of those that do not: mirrored, or not this body's.
+    /// Ids of the markers that do not fit: mirrored, or of another body.
     pub left_out: Vec<u32>,
-    /// Whether corners and track prefer it.
+    /// Whether the pose is the best one for corners and track.
     pub is_chosen: bool,
-    /// Whether it would do as the measurement, or why not.
+    /// Whether the pose is accepted as the measurement, or the reason why not.
     pub verdict: String,
 }
 
 /// A pose that was compared with the picture.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct HypothesisFacts {
-    /// Where it comes from.
+    /// Source of the hypothesis.
     pub source: &'static str,
-    /// The pose; null where nothing could be compared.
+    /// The pose; null if it could not be compared with the picture.
     pub pose: Option<PoseFacts>,
-    /// How certain it is.
+    /// Standard deviations of the pose.
     pub deviations: Option<Deviations>,
-    /// All log odds together.
+    /// Sum of all log odds.
     pub log_odds: Option<f64>,
     pub terms: Option<LogOddsTerms>,
     /// Mean correlation of the cells with the picture.
     pub correlation: Option<f64>,
-    /// Facets that agree.
+    /// Number of facets that fit the picture.
     pub agreeing_facets: Option<u32>,
-    /// The share of the body that nothing is in front of.
+    /// Share of the body that is not hidden.
     pub visible_share: Option<f64>,
-    /// What was decided.
+    /// The decision.
     pub verdict: &'static str,
-    /// The same in plain words, with what was asked for.
+    /// The decision as a sentence, with the limits.
     pub decided: String,
 }
 
-/// What the log odds of a hypothesis are the sum of.
+/// The terms of a hypothesis' log odds.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct LogOddsTerms {
     pub picture: f64,
-    /// The part of the picture's that the facets beside the most informative one have.
+    /// Part of the picture's log odds from all facets except the most informative one.
     pub picture_of_other_facets: f64,
-    /// The turn from the track's prediction; null without a confirmed track.
+    /// Term of the rotation from the track's prediction; null without a confirmed track.
     pub turn: Option<f64>,
-    /// The tilt of neighbours.
+    /// Term of the neighbour's tilt.
     pub tilt: f64,
-    /// Whether markers were decoded where the pose has them, for which less is asked.
+    /// Whether decoded markers fit the pose, which lowers the limits.
     pub is_marked: bool,
 }
 
-/// What was published.
+/// The published result.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ResultFacts {
     /// The state of the track.
     pub state: Option<TrackState>,
-    /// What the frame measured it by.
+    /// Method of the frame's measurement.
     pub measured_by: Option<MeasuredBy>,
     /// The frame's measurement.
     pub measured: Option<PoseFacts>,
-    /// How certain that is.
+    /// Standard deviations of that pose.
     pub measured_deviations: Option<Deviations>,
     /// The track's pose.
     pub pose: PoseFacts,
-    /// How certain that is.
+    /// Standard deviations of that pose.
     pub deviations: Deviations,
     /// Markers that were decoded.
     pub markers: u32,
-    /// Since when it was not measured, seconds.
+    /// Time since the last measurement, seconds.
     pub unseen_s: f64,
-    /// What each stage took, milliseconds; null where it is not known.
+    /// Latency of each stage, milliseconds; null if unknown.
     pub latency_ms: StageLatencies,
 }
 
-/// What each stage took, milliseconds.
+/// Latency of each stage, milliseconds.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct StageLatencies {
-    /// Exposure to frame.
+    /// From exposure to frame.
     pub capture: Option<f64>,
-    /// Frame to view.
+    /// From frame to view.
     pub rectification: Option<f64>,
-    /// View to record.
+    /// From view to detection record.
     pub detection: Option<f64>,
-    /// Record, or view, to track.
+    /// From detection record or view to track.
     pub fusion: Option<f64>,
     pub total: Option<f64>,
 }
 
-/// What the source knows.
+/// The truth from a simulated source.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct TruthFacts {
     pub pose: PoseFacts,
-    /// By how much the result is off: the measurement, or else the track.
+    /// Error of the measurement, or else of the track.
     pub error: Option<Deviations>,
-    /// Markers of which at least half is visible.
+    /// Number of markers that are at least 50 % visible.
     pub markers_visible_50: u32,
-    /// Markers of which at least nine tenths are.
+    /// Number of markers that are at least 90 % visible.
     pub markers_visible_90: u32,
-    /// Side of its best visible marker on the sphere image, pixels.
+    /// Side of the best visible marker on the sphere image, pixels.
     pub best_side_px: f64,
 }
 
-/// How far an answer can be relied on.
+/// Reliability of an answer.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct Reliance {
-    /// Whether fusion was replayed and said what was recorded, byte by byte.
+    /// Whether replayed fusion gave the recorded messages, byte by byte.
     pub is_exact: bool,
-    /// What the replayed fusion said that was not recorded.
+    /// First difference between replayed and recorded messages.
     pub difference: Option<String>,
-    /// What cannot be told, and why.
+    /// Unknown facts, with reasons.
     pub untold: Vec<String>,
-    /// What the recording lacks: topics, and how many messages.
+    /// Topics with missing messages, and their number.
     pub lost: Vec<(String, u64)>,
 }

@@ -24,7 +24,7 @@ use super::poses::{
 use super::{judgement, passes};
 use flockeye_fusion::{candidate_rays, decoded_rays};
 
-/// The answer.
+/// Makes the answer for a frame.
 pub fn explanation(path: &Path, resolved: &Resolved, known: &FrameKnowledge) -> FrameExplanation {
     let FrameKnowledge { gathered, stamp, .. } = known;
     let body = resolved.bodies.get(known.target);
@@ -111,7 +111,7 @@ fn views(resolved: &Resolved, known: &FrameKnowledge, direction: Option<&Ray>) -
             });
             own.count() as u32
         };
-        // Its place is not known before it is cut.
+        // The direction of a proposal is not known before it is cut.
         let is_placed =
             kind != Some(ViewKind::Proposal) || gathered.views.contains_key(&view_index);
         ViewFacts {
@@ -195,7 +195,7 @@ fn markers(
                 let off_rad = Ray::try_new(middle, 1e-9)?.angle(&expected);
                 Some(off_rad < reach_rad(body, known, place))
             });
-            // A residual means nothing for a square elsewhere.
+            // Residuals are only valid for squares near the expected place.
             let residual = reference.as_ref().zip(view).filter(|_| is_at_place != Some(false));
             all.push(MarkerFacts {
                 id: marker.id,
@@ -246,7 +246,7 @@ fn truth(gathered: &StageMessages) -> Option<TruthFacts> {
     })
 }
 
-/// The name of a nearer body that is in the way, by fusion's tracks or by the truth.
+/// The name of a nearer body that hides the target, from fusion's tracks or the truth.
 fn hidden_by(
     resolved: &Resolved,
     known: &FrameKnowledge,
@@ -260,7 +260,7 @@ fn hidden_by(
         let body = resolved.bodies.get(target)?;
         let (towards, nearer_m) = (Ray::try_new(there, 1e-9)?, there.norm());
         let reach_rad = body.radius() / nearer_m;
-        // It must hide at least half of the body.
+        // A body is in the way if it hides at least half of the target.
         let is_in_the_way = nearer_m < range_m
             && target != known.target
             && towards.angle(&direction) < reach_rad.max(own_rad * 0.5);

@@ -1,4 +1,4 @@
-//! Lists the frames of a recording, and finds the one that is asked for.
+//! Lists the frames of a recording, and finds the requested one.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -10,21 +10,21 @@ use super::asked::When;
 use super::gathered::stamp_of;
 use crate::recorded::{LostMessages, RecordedFlight};
 
-/// Time after the last exposure that still counts as that frame's, seconds.
+/// Time after the last exposure that still belongs to that frame, seconds.
 const LAST_FRAME_S: f64 = 0.25;
 
 /// The frames of a recording.
 #[derive(Debug)]
 pub struct FrameList {
     stamps: BTreeMap<FrameOrder, FrameStamp>,
-    /// The time on the clock of the exposures at which the recording began, nanoseconds.
+    /// Beginning of the recording on the clock of the exposures, nanoseconds.
     begun_ns: i64,
-    /// What the recording lacks.
+    /// Messages that the recording lacks.
     pub lost: LostMessages,
 }
 
 impl FrameList {
-    /// Reads a recording to its end, or to where it is damaged.
+    /// Reads a recording to its end or to the damage.
     pub fn of(path: &Path) -> anyhow::Result<Self> {
         let mut recorded = RecordedFlight::open(path)?;
         let mut stamps = BTreeMap::new();
@@ -48,7 +48,7 @@ impl FrameList {
         let utc_from_exposure_ns = recorded.number("utc_from_exposure_ns").unwrap_or_default();
         let is_lossless = recorded.flow() == Some("lossless");
         let begun_ns = match first_utc_ns.and_then(|utc_ns| i64::try_from(utc_ns).ok()) {
-            // There the stream begins when the recording does.
+            // Times of a lossless run begin at 0; others begin with the recording.
             Some(utc_ns) if !is_lossless => utc_ns - utc_from_exposure_ns,
             _ => 0,
         };
@@ -56,13 +56,13 @@ impl FrameList {
         Ok(Self { stamps, begun_ns, lost: recorded.lost() })
     }
 
-    /// When a frame was exposed, seconds since the recording began.
+    /// Exposure of a frame, seconds since the recording began.
     fn at_s(&self, stamp: &FrameStamp) -> f64 {
         stamp.exposure_ns.saturating_sub(self.begun_ns) as f64 * 1e-9
     }
 
-    /// The frame that is meant, and when it was exposed, seconds since the recording began. Where a
-    /// source has started again, numbers repeat: the first frame with the number is meant.
+    /// The requested frame, and its exposure, seconds since the recording began. Numbers repeat
+    /// after a restart of the source; then the first frame with the number is returned.
     pub fn chosen(&self, when: When) -> anyhow::Result<(FrameStamp, f64)> {
         let found = match when {
             When::Frame(number) => self.stamps.values().find(|stamp| stamp.sequence == number),

@@ -19,27 +19,27 @@ pub struct StageMessages {
     stamp: FrameStamp,
     target: u32,
     plans: BTreeMap<u64, (PlanHeader, Vec<PlannedView>)>,
-    /// Its views, by their places in the plan, with their pixels where the recording has them.
+    /// Views of the frame by their index in the plan, with their pixels if recorded.
     pub views: BTreeMap<u32, (ViewHeader, Option<RecordedPixels>)>,
-    /// The views' records.
+    /// Detection records of the views.
     pub records: BTreeMap<u32, Record>,
     pub end: Option<FrameEnd>,
     /// Tracks that fusion sent for the frame, in their order.
     pub tracks: Vec<Track>,
     /// Whether fusion has sent the last message about the frame.
     has_last: bool,
-    /// The truth, which a simulated source knows.
+    /// The truth from a simulated source.
     pub truth: Option<(TruthHeader, Vec<BodyTruth>)>,
     /// The last track of the target in an earlier frame, and that frame.
     pub before: Option<(FrameStamp, Track)>,
-    /// The last earlier frame that measured the target, and how.
+    /// The last earlier frame that measured the target, and the method.
     pub measured_before: Option<(FrameStamp, MeasuredBy)>,
     /// Views of later frames.
     pub later: Vec<ViewHeader>,
     later_frames: BTreeSet<FrameOrder>,
 }
 
-/// The frame that a message is of.
+/// The frame of a message.
 pub fn stamp_of(message: &FlightMessage) -> Option<FrameStamp> {
     match message {
         FlightMessage::Frame(header) => Some(header.stamp),
@@ -54,7 +54,7 @@ pub fn stamp_of(message: &FlightMessage) -> Option<FrameStamp> {
 }
 
 impl StageMessages {
-    /// Begins with this frame and target, before the first message.
+    /// Begins for this frame and target, before the first message.
     pub fn of(stamp: FrameStamp, target: u32) -> Self {
         Self {
             stamp,
@@ -73,9 +73,9 @@ impl StageMessages {
         }
     }
 
-    /// Whether fusion has sent its last message about the frame, or has gone on without it.
+    /// Whether fusion has sent its last message about the frame, or several later frames were seen.
     pub fn is_over(&self) -> bool {
-        // Frames end in their order, and a few may be open.
+        // Frames end in order, and only a few may be open at a time.
         self.has_last || self.later_frames() > PLANS
     }
 

@@ -1,4 +1,5 @@
-//! Finds the step of the pipeline that decided: the first one that failed, in plain words.
+//! Finds the step of the pipeline that decided the result: the first one that failed, as a
+//! sentence.
 
 use flockeye_contract::{MeasuredBy, StopReason, ViewKind};
 use flockeye_fusion::{AccountEntry, CornerVerdict, Hypothesis, Outcome, Pass, Verdict};
@@ -8,11 +9,11 @@ use super::known::FrameKnowledge;
 use super::passes::{decided, pass_name};
 use super::poses::TargetPlace;
 
-/// Largest angle between a hypothesis about the body and where the body is expected, radians. The
-/// view of a proposal of a body at 2 m is narrower.
+/// Largest angle between a hypothesis and the body's expected direction, radians. The view of a
+/// proposal for a body at 2 m is narrower.
 const ELSEWHERE_RAD: f64 = 0.1;
 
-/// The step that decided, and what to say of it.
+/// The step that decided the result, and its description.
 pub fn of(
     known: &FrameKnowledge,
     explanation: &FrameExplanation,
@@ -83,7 +84,7 @@ fn decisive(
     }
 }
 
-/// Why the reason is not known, as the end of a sentence.
+/// Explains, as the end of a sentence, why the reason is not known.
 fn untold(explanation: &FrameExplanation) -> &'static str {
     match explanation.reliance.is_exact {
         true => "",
@@ -150,7 +151,7 @@ fn by_outcome(known: &FrameKnowledge) -> Option<(DecisiveStep, String)> {
     Some((step, why.to_owned()))
 }
 
-/// Whether the place was looked at.
+/// Checks whether a view of the place was searched.
 fn of_views(explanation: &FrameExplanation, place: &TargetPlace) -> Option<(DecisiveStep, String)> {
     let where_it_is = match place.is_predicted {
         true => "where its track predicts it",
@@ -168,7 +169,7 @@ fn of_views(explanation: &FrameExplanation, place: &TargetPlace) -> Option<(Deci
         let why = format!("{} could not be searched", name_of(answered));
         return Some((DecisiveStep::SearchFailed, why));
     }
-    // A region that is not searched for markers is looked at by alignment.
+    // A region that is not searched for markers is used by alignment.
     if there().any(|view| view.is_answered) {
         return None;
     }
@@ -221,7 +222,7 @@ fn no_place(known: &FrameKnowledge, explanation: &FrameExplanation) -> String {
     )
 }
 
-/// What was found in the views that show the place.
+/// The detections in the views that show the place, as text.
 fn searched(explanation: &FrameExplanation) -> String {
     let there = explanation.views.iter().filter(|view| view.shows_place == Some(true));
     let (searched, unsearched): (Vec<_>, Vec<_>) =
@@ -253,12 +254,12 @@ pub fn name_of(view: &ViewFacts) -> String {
     }
 }
 
-/// The hypothesis that came nearest, and why it was not enough.
+/// The best hypothesis, and the reason why it was not accepted.
 fn by_hypotheses(
     known: &FrameKnowledge,
     place: Option<&TargetPlace>,
 ) -> Option<(DecisiveStep, String)> {
-    // Most places that look like a body are none, so hypotheses there are not about this body.
+    // Most proposals show no body, so hypotheses far from the expected place are skipped.
     let mut all: Vec<(&Hypothesis, Verdict)> = Vec::new();
     for trial in known.trials() {
         let is_place = trial.pass == Pass::Place;
@@ -288,14 +289,14 @@ fn by_hypotheses(
     Some((DecisiveStep::BelowThreshold, format!("the likeliest pose: {below}{hidden}")))
 }
 
-/// Whether a hypothesis is about where the body is expected.
+/// Whether a hypothesis is near the expected place of the body.
 fn is_at(hypothesis: &Hypothesis, place: Option<&TargetPlace>) -> bool {
     let (Ok(found), Some(place)) = (&hypothesis.found, place) else { return false };
     let [found, place] = [&found.camera_from_markers, &place.camera_from_markers];
     found.translation.vector.angle(&place.translation.vector) < ELSEWHERE_RAD
 }
 
-/// Why corners alone were not enough.
+/// The reason why corners alone did not give a pose.
 fn by_corners(known: &FrameKnowledge) -> Option<(DecisiveStep, String)> {
     let poses = known.trials().flat_map(|trial| &trial.corner_poses);
     let chosen = poses.filter(|pose| pose.is_chosen).last()?;

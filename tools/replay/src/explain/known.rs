@@ -1,4 +1,4 @@
-//! All that is known of one target in one frame.
+//! The known facts about one target in one frame.
 
 use flockeye_contract::FrameStamp;
 use flockeye_fusion::{AccountEntry, Core, Trial};
@@ -8,21 +8,21 @@ use nalgebra::{Isometry3, Matrix6};
 use super::gathered::StageMessages;
 use crate::recorded::{LostMessages, RecordedPixels};
 
-/// All that is known of one target in one frame.
+/// The known facts about one target in one frame.
 pub struct FrameKnowledge {
     /// The target's number.
     pub target: usize,
     /// The frame.
     pub stamp: FrameStamp,
-    /// When it was exposed, seconds since the recording began.
+    /// Exposure of the frame, seconds since the recording began.
     pub at_s: f64,
     /// Messages of the stages.
     pub gathered: StageMessages,
-    /// The track before the frame; `None` where the core was not replayed.
+    /// The track before the frame; `None` if the core was not replayed.
     pub before: Option<TrackBefore>,
-    /// The account of the core, in its order.
+    /// The decisions of the core, in order.
     pub decisions: Vec<AccountEntry>,
-    /// Whether the replayed core gave the recorded messages up to and with this frame.
+    /// Comparison of replayed and recorded messages, up to and including this frame.
     pub replay: ReplayOutcome,
     /// Messages that the recording lacks.
     pub lost: LostMessages,
@@ -43,7 +43,7 @@ impl FrameKnowledge {
 pub enum ReplayOutcome {
     /// Fusion gave the same bytes.
     Same,
-    /// Fusion gave something else: the first difference.
+    /// Fusion gave other bytes: the first difference.
     Different(String),
     /// Fusion could not be replayed, for this reason.
     Impossible(String),
@@ -52,14 +52,14 @@ pub enum ReplayOutcome {
 /// The track of a target before a frame.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TrackBefore {
-    /// Its state; `None`: there was no track.
+    /// State of the track; `None`: there was no track.
     pub state: Option<TrackState>,
     /// `camera_from_markers` at the frame's exposure, with its covariance.
     pub predicted: Option<(Isometry3<f64>, Matrix6<f64>)>,
 }
 
 impl TrackBefore {
-    /// Asks `core` for the track of a target, before the first message about a frame.
+    /// Reads the track of a target from `core`, before the first message about a frame.
     pub(super) fn of(core: &Core<RecordedPixels>, target: usize, stamp: &FrameStamp) -> Self {
         let tracker = core.tracker();
         let predicted = tracker.prediction(target, stamp.exposure_s());

@@ -1,17 +1,17 @@
-//! `flockeye explain`: why a frame of a recording gave this pose of a neighbour, or none.
+//! `flockeye explain`: explains why a frame of a recording gave this pose of a neighbour, or none.
 //!
 //! | module | what it does |
 //! | --- | --- |
 //! | [`asked`] | the command line |
-//! | [`frames`] | lists the frames of a recording, and finds the one that is asked for |
+//! | [`frames`] | lists the frames of a recording, and finds the requested one |
 //! | [`gathered`] | messages of the stages about that frame |
 //! | [`session`] | replays fusion up to that frame |
-//! | [`known`] | all that is known of the frame |
+//! | [`known`] | the known facts about the frame |
 //! | [`explanation`] | the answer, as data |
 //! | [`poses`] | poses of the target: predicted, measured, likeliest |
-//! | [`facts`] | makes the answer from what is known |
+//! | [`facts`] | makes the answer from the known facts |
 //! | [`passes`] | the decisions of fusion as data |
-//! | [`judgement`] | the step that decided, in plain words |
+//! | [`judgement`] | the step that decided the result, as a sentence |
 //! | [`text`], [`picture`] | the answer as text, and as a picture |
 
 pub(crate) mod asked;
@@ -44,10 +44,10 @@ use self::known::FrameKnowledge;
 use self::session::Session;
 use crate::recorded::RecordedFlight;
 
-/// FrameList after the explained one in which its next search is looked for.
+/// Number of frames after the explained one in which its next search is looked for.
 const LOOK_AHEAD: usize = 60;
 
-/// Answers on the terminal, and in a picture where one is asked for.
+/// Prints the answer, and draws the picture if requested.
 pub fn main(arguments: &ExplainArguments) -> anyhow::Result<()> {
     let when = arguments.when()?;
     let (resolved, known) = look(&arguments.file, &arguments.target, when)?;
@@ -56,14 +56,14 @@ pub fn main(arguments: &ExplainArguments) -> anyhow::Result<()> {
         true => println!("{}", serde_json::to_string_pretty(&explanation)?),
         false => print!("{}", text::of(&explanation)),
     }
-    // The answer stands also where there is nothing to draw.
+    // The answer was printed already, also if the picture cannot be drawn.
     match &arguments.image {
         Some(path) => picture::write(path, &resolved, &known, &explanation),
         None => Ok(()),
     }
 }
 
-/// Reads all that a recording has about the target with this name in a frame.
+/// Reads the facts about a target in a frame from a recording.
 fn look(path: &Path, name: &str, when: When) -> anyhow::Result<(Resolved, FrameKnowledge)> {
     let mut recorded = RecordedFlight::open(path)?;
     let resolved = recorded.configuration()?;
@@ -79,7 +79,7 @@ fn look(path: &Path, name: &str, when: When) -> anyhow::Result<(Resolved, FrameK
         let (message, utc_ns) = match recorded.next_message() {
             Ok(Some(read)) => read,
             Ok(None) => break,
-            // All before the damage counts.
+            // Messages before the damage are used.
             Err(error) if gathered.is_over() => {
                 tracing::warn!("{error:#}");
                 break;

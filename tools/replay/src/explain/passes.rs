@@ -1,4 +1,4 @@
-//! The account of the replayed core, as data.
+//! The decisions of the replayed core as data.
 
 use flockeye_config::Resolved;
 use flockeye_imaging::align::{
@@ -13,7 +13,7 @@ use flockeye_fusion::{
     Verdict,
 };
 
-/// The entries of the account, in their order.
+/// The passes of the decisions, in order.
 pub fn facts(resolved: &Resolved, target: usize, entries: &[AccountEntry]) -> Vec<PassFacts> {
     let frames = Mounting { resolved, target };
     entries.iter().map(|entry| of_entry(&frames, entry)).collect()
@@ -119,7 +119,7 @@ fn hypothesis_facts(
     }
 }
 
-/// The verdict about a hypothesis, in plain words.
+/// The verdict about a hypothesis, as a sentence.
 pub fn decided(hypothesis: &Hypothesis, verdict: Verdict) -> String {
     match verdict {
         Verdict::Accepted => match &hypothesis.found {
@@ -148,13 +148,13 @@ pub fn decided(hypothesis: &Hypothesis, verdict: Verdict) -> String {
     }
 }
 
-/// The limit that a hypothesis did not reach, in plain words.
+/// The limit that a hypothesis did not reach, as text.
 fn below(hypothesis: &Hypothesis) -> String {
     let Ok(found) = &hypothesis.found else { return "nothing could be compared".to_owned() };
     let (picture, turn) = (found.evidence.log_odds, hypothesis.turn_log);
     let (anywhere, predicted) = (least_log_odds_anywhere(), least_log_odds_predicted());
     let mut said = match turn {
-        // The direct pass asks for both: enough by itself, and enough with the prediction.
+        // The direct pass has two limits: for the picture alone, and together with the prediction.
         Some(turn) if picture + turn >= predicted => format!(
             "refused: the picture alone has log odds {picture:.1}, and {anywhere:.1} are asked for"
         ),
@@ -172,7 +172,7 @@ fn below(hypothesis: &Hypothesis) -> String {
     said
 }
 
-/// A pass in words.
+/// The name of a pass.
 pub fn pass_name(pass: Pass) -> &'static str {
     match pass {
         Pass::Direct => "direct",

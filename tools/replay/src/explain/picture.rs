@@ -1,5 +1,5 @@
-//! The answer as a picture: the view round the target with markers and hypotheses, and the model
-//! beside it.
+//! The answer as a picture: the view around the target with markers and hypotheses, and the body's
+//! model beside it.
 
 use std::fs::File;
 use std::io::BufWriter;
@@ -29,7 +29,7 @@ const REACH_RADII: f64 = 1.7;
 /// Largest magnification of the recorded view.
 const MOST_ENLARGED: f64 = 16.0;
 
-/// Colours of outlines: what each stands for is in docs/RECORDING.md.
+/// Colours of outlines; docs/RECORDING.md explains them.
 const PREDICTED: [u8; 3] = [255, 210, 0];
 const ACCEPTED: [u8; 3] = [40, 220, 60];
 const REFUSED: [u8; 3] = [255, 60, 50];
@@ -48,8 +48,7 @@ struct RgbPicture {
 /// Writes the picture.
 ///
 /// # Errors
-/// The recording has no pixels of the place, nothing says where it is, or the file cannot be
-/// written.
+/// The recording has no pixels of the place, no place is known, or the file cannot be written.
 pub fn write(
     path: &Path,
     resolved: &Resolved,
@@ -84,8 +83,7 @@ pub fn write(
     canvas.save(path).with_context(|| format!("cannot write {}", path.display()))
 }
 
-/// The view that alignment read or, where none was, the one that shows the place at the highest
-/// resolution.
+/// The view that alignment used, or else the view of the place with the highest resolution.
 fn best_view<'k>(
     known: &'k FrameKnowledge,
     reference: &Isometry3<f64>,
@@ -104,7 +102,7 @@ fn best_view<'k>(
     })
 }
 
-/// The part of a view round the target, enlarged, with markers and hypotheses.
+/// Draws the part of a view around the target, enlarged, with markers and hypotheses.
 fn scene(
     known: &FrameKnowledge,
     body: &Body,
@@ -186,7 +184,7 @@ fn seen(view: &View, point_in_camera: &Point3<f64>) -> Option<Vector2<f64>> {
     Some(view.project(&towards)?.0)
 }
 
-/// Picture, model and residual at a pose, one below the other; `None` where nothing can be
+/// Draws picture, model and residual at a pose, one below the other. `None` if they cannot be
 /// compared.
 fn model(
     resolved: &Resolved,
@@ -242,7 +240,7 @@ impl RgbPicture {
     fn polygon(&mut self, corners: &[Vector2<f64>], colour: [u8; 3]) {
         for (k, from) in corners.iter().enumerate() {
             let way = corners[(k + 1) % corners.len()] - from;
-            // A line that leaves the picture by far is not followed.
+            // The number of steps is limited for lines that end far outside of the picture.
             let steps = way.amax().ceil().clamp(1.0, 1e4) as usize;
             for step in 0..=steps {
                 let at = from + way * (step as f64 / steps as f64);
@@ -253,7 +251,7 @@ impl RgbPicture {
         }
     }
 
-    /// A canvas of both, with the other one on the right.
+    /// A picture of both, with the other one on the right.
     fn beside(&self, other: &Self) -> Self {
         let mut both = Self::new(self.width + other.width, self.height.max(other.height));
         let width = both.width;

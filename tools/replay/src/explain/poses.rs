@@ -1,5 +1,4 @@
-//! Poses of the target in the frame: where its track predicts it, where it was measured, and the
-//! likeliest one.
+//! Poses of the target in the frame: predicted by its track, measured, and likeliest.
 
 use flockeye_config::Resolved;
 use flockeye_contract::{MeasuredBy, Pose, Track, TrackState, ViewHeader, ViewKind};
@@ -11,8 +10,7 @@ use nalgebra::{Isometry3, Matrix6};
 use super::explanation::{Deviations, PoseFacts, ResidualOf};
 use super::known::FrameKnowledge;
 
-/// How the markers of a target are mounted: brings poses of its markers to those of its drone, and
-/// back.
+/// The mounting of a target's markers. It converts between poses of the markers and of the drone.
 pub struct Mounting<'r> {
     /// The configuration.
     pub resolved: &'r Resolved,
@@ -37,7 +35,7 @@ impl Mounting<'_> {
             * self.target_from_markers()
     }
 
-    /// Where the markers sit on the drone.
+    /// The pose of the markers on the drone.
     fn target_from_markers(&self) -> Isometry3<f64> {
         let mounted = self.resolved.bodies.get(self.target);
         mounted.map_or_else(Isometry3::identity, |body| body.target_from_markers)
@@ -72,7 +70,8 @@ pub fn difference(one: &Isometry3<f64>, other: &Isometry3<f64>) -> Deviations {
     }
 }
 
-/// The pose that a track message has of this frame: its measurement, if there is one.
+/// The pose of this frame in a track message: the measurement if there is one, else the track's
+/// pose.
 pub fn told(track: &Track) -> &Pose {
     match track.measured_by == MeasuredBy::Nothing.code() {
         true => &track.observer_from_target,
@@ -89,13 +88,13 @@ pub struct TargetPlace {
 }
 
 impl TargetPlace {
-    /// Its direction from the camera.
+    /// The direction from the camera.
     pub fn direction(&self) -> Option<Ray> {
         Ray::try_new(self.camera_from_markers.translation.vector, 1e-9)
     }
 }
 
-/// The pose that the track predicted for the frame, by the replayed core or else by the plan.
+/// The pose that the track predicted for the frame, from the replayed core or else from the plan.
 pub fn predicted(resolved: &Resolved, known: &FrameKnowledge) -> Option<Isometry3<f64>> {
     if let Some(before) = &known.before {
         return before.predicted.map(|(pose, _)| pose);

@@ -40,7 +40,7 @@ impl Session {
     pub(super) fn on(&mut self, message: FlightMessage, utc_ns: u64, gathered: &StageMessages) {
         let ControlFlow::Continue(replay) = &mut self.state else { return };
         let order: FrameOrder = self.stamp.order();
-        // This is the first entry about the frame.
+        // The track is read before the first entry about the frame.
         let heard = replay.on(message, utc_ns, |core, entry| {
             if self.before.is_none() && names_message(entry) && entry.order() == order {
                 self.before = Some(TrackBefore::of(core, self.target, &self.stamp));

@@ -8,7 +8,7 @@ use super::explanation::{
 };
 use super::judgement::name_of;
 
-/// Views without the target that are named; the others are counted.
+/// Largest number of listed views without the target; further views are only counted.
 const MOST_OTHER_VIEWS: usize = 12;
 
 /// The answer for people.

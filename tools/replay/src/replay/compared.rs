@@ -1,4 +1,4 @@
-//! Compares the recorded messages of fusion with those that its core gives again.
+//! Compares the recorded messages of fusion with the replayed ones.
 
 use std::collections::VecDeque;
 
@@ -9,15 +9,15 @@ use flockeye_recording::{ContractMessage, TopicLayout, layouts};
 
 use crate::recorded::{contract_message, header};
 
-/// Both topics.
+/// The messages of both topics.
 pub struct MessageComparison {
     pub tracks: Pairs,
     pub plans: Pairs,
-    /// Plans that are given and were not recorded.
+    /// Number of replayed plans that were not recorded.
     pub lost_plans: u64,
 }
 
-/// Messages of a topic, recorded and given.
+/// Recorded and replayed messages of a topic.
 pub struct Pairs {
     layout: TopicLayout,
     recorded: VecDeque<ContractMessage>,
@@ -25,12 +25,12 @@ pub struct Pairs {
 }
 
 impl MessageComparison {
-    /// Before the first message.
+    /// Begins before the first message.
     pub fn new() -> anyhow::Result<Self> {
         Ok(Self { tracks: Pairs::of::<Tracks>()?, plans: Pairs::of::<Plans>()?, lost_plans: 0 })
     }
 
-    /// Compares the messages that have a counterpart. Returns their number, and the first
+    /// Compares the messages that have a counterpart. Returns their number and the first
     /// difference.
     pub fn compare(&mut self) -> (u64, Option<String>) {
         let (tracks, differs) =
@@ -50,7 +50,8 @@ impl MessageComparison {
         }
     }
 
-    /// Few plans wait for a recorder, so some may be lost; their numbers rise by one.
+    /// Drops replayed plans that were not recorded. Numbers of plans rise by one, so gaps are
+    /// visible.
     fn leave_out_lost_plans(&mut self) {
         let number = |message: &ContractMessage| header::<PlanHeader>(message).plan_id;
         let Some(recorded) = self.plans.recorded.front().map(number) else { return };
@@ -60,7 +61,7 @@ impl MessageComparison {
         }
     }
 
-    /// Whether all given messages were compared.
+    /// Whether all replayed messages were compared.
     pub fn is_done(&self) -> bool {
         self.tracks.given.is_empty() && self.plans.given.is_empty()
     }
@@ -83,7 +84,7 @@ impl Pairs {
         self.recorded.push_back(message);
     }
 
-    /// Takes a message that the core gives.
+    /// Takes a message of the replayed core.
     pub fn give<H: bytemuck::Pod, I: bytemuck::Pod>(&mut self, header: &H, items: &[I]) {
         self.given.push_back(contract_message(header, items));
     }
@@ -99,7 +100,7 @@ impl Pairs {
         }
     }
 
-    /// Compares the next pair, if both are there.
+    /// Compares the next pair, if both messages exist.
     fn compare_next(
         &mut self,
         frame_of: impl Fn(&ContractMessage) -> u64,

@@ -1,8 +1,7 @@
-//! Messages to fusion's core, in the order of its journal.
+//! Puts the messages to fusion's core in the order of its journal.
 //!
-//! A recorder receives each topic by itself, so an entry may stand before the message that it
-//! names. It waits for that, and messages wait for their entries, each for a while of the
-//! recording's time.
+//! A recorder receives each topic separately, so an entry may come before its message. Entries wait
+//! for their messages and messages for their entries, for a limited time of the recording.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::time::Duration;
@@ -14,23 +13,21 @@ use crate::recorded::RecordedPixels;
 use flockeye_fusion::Event;
 use flockeye_fusion::entry_of;
 
-/// Time for which an entry waits for its message: a recorder without a processor receives topics
-/// this far apart at most.
+/// Timeout of an entry for its message. It is the largest delay between topics in a busy recorder.
 const PATIENCE: Duration = Duration::from_secs(5);
 
-/// Time for which a message waits for its entry: it may lie before fusion for as long as fusion is
-/// held up.
+/// Timeout of a message for its entry. It is the longest time that fusion may be stopped.
 const RETENTION: Duration = Duration::from_secs(60);
 
 /// The reason why fusion cannot be replayed from a recording without a journal.
 pub const NO_JOURNAL: &str = "the recording has no journal of fusion, so it is not known when fusion heard what. Cure: record with \
      this version of Flockeye, and its own fusion";
 
-/// The next thing that happened to the core.
+/// The next call of the core.
 #[derive(Debug)]
 #[allow(clippy::large_enum_variant, reason = "one at a time, on the stack")]
 pub enum NextCall {
-    /// An entry, with its message where it names one.
+    /// An entry, with its message if it has one.
     Entry(JournalEntry, Option<Event<RecordedPixels>>),
     /// The next entry or its message has not come yet.
     Wait,
@@ -41,15 +38,15 @@ pub enum NextCall {
 /// Entries that wait for their messages, and messages that wait for their entries.
 #[derive(Debug, Default)]
 pub struct Script {
-    /// Entries with the times when they were recorded, UTC nanoseconds.
+    /// Entries with their times of recording, UTC nanoseconds.
     entries: VecDeque<(u64, JournalEntry)>,
-    /// Messages by their entries at the time 0, with the times when they were recorded.
+    /// Messages by their entries with time 0, each with the time of recording.
     heard: BTreeMap<JournalEntry, VecDeque<(u64, Event<RecordedPixels>)>>,
     /// The number of the next entry; `None` before the first.
     next: Option<u64>,
-    /// Why no more entries are taken.
+    /// The reason why no more entries are taken.
     end: Option<String>,
-    /// When the first message was recorded.
+    /// Time of recording of the first message.
     begun_ns: Option<u64>,
 }
 
@@ -70,7 +67,7 @@ impl Script {
     /// Takes a message of the journal.
     ///
     /// # Errors
-    /// The journal does not begin where the process does.
+    /// The journal does not begin with the process.
     pub fn note(
         &mut self,
         header: &JournalHeader,
@@ -111,7 +108,7 @@ impl Script {
     fn take(&mut self, entries: &[JournalEntry], first: u64, utc_ns: u64) {
         self.next = Some(first + entries.len() as u64);
         self.entries.extend(entries.iter().map(|entry| (utc_ns, *entry)));
-        // Fusion dropped a message that it has not heard by now.
+        // Fusion dropped messages that are older and have no entry.
         let oldest_ns = self.entries.front().map_or(utc_ns, |(noted_ns, _)| *noted_ns);
         self.heard.retain(|_, waiting| {
             waiting.retain(|(heard_ns, _)| !is_over(RETENTION, *heard_ns, oldest_ns));
@@ -119,7 +116,7 @@ impl Script {
         });
     }
 
-    /// The next entry, as far as it is known at `utc_ns` of the recording; `None`: at its end.
+    /// The next entry at the time `utc_ns` of the recording; `None`: at the end of the recording.
     pub fn next(&mut self, utc_ns: Option<u64>) -> NextCall {
         let Some((noted_ns, entry)) = self.entries.front().copied() else {
             return self.end.clone().map_or(NextCall::Wait, NextCall::End);
@@ -153,7 +150,7 @@ impl Script {
     }
 }
 
-/// Whether a time has passed since then.
+/// Whether `time` has passed since `since_ns`.
 fn is_over(time: Duration, since_ns: u64, utc_ns: u64) -> bool {
     u128::from(utc_ns.saturating_sub(since_ns)) > time.as_nanos()
 }

@@ -27,24 +27,24 @@ pub(crate) enum DisturbanceKind {
 /// One disturbance.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Disturbance {
-    /// What is done.
+    /// The kind of disturbance.
     pub kind: DisturbanceKind,
-    /// The worker to which it is done.
+    /// The disturbed worker.
     pub worker: WorkerName,
-    /// The number of its process.
+    /// Process number of the worker.
     pub pid: i32,
-    /// How long it lasts.
+    /// Duration of the disturbance.
     pub lasts: Duration,
 }
 
-/// A slowed process runs and rests for this long in turn.
+/// Time for which a slowed process alternately runs and is stopped.
 const SLOW_TURN: Duration = Duration::from_millis(25);
 
 impl Disturbance {
     /// Disturbs the process, calling `wait` in between.
     ///
     /// # Errors
-    /// What `wait` returns, or the process has ended by itself.
+    /// An error of `wait`, or the process has ended by itself.
     pub(crate) fn strike(
         &self,
         mut wait: impl FnMut(Duration) -> anyhow::Result<()>,
@@ -56,7 +56,7 @@ impl Disturbance {
             DisturbanceKind::Stop => {
                 send(Signal::STOP)?;
                 wait(self.lasts)?;
-                // By now it may have been replaced.
+                // An error is ignored: the process may have been replaced meanwhile.
                 drop(send(Signal::CONT));
                 Ok(())
             }
@@ -76,7 +76,7 @@ impl Disturbance {
 }
 
 impl Dice {
-    /// The next disturbance of one of `victims`, each with the number of its process. It is of any
+    /// The next disturbance of one of `victims`, each with its process number. It may be of any
     /// kind if `only` is empty.
     pub(crate) fn throw(
         &mut self,

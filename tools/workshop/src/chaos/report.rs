@@ -1,4 +1,4 @@
-//! How a pipeline took its disturbances.
+//! The effects of disturbances on a pipeline.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::fmt;
@@ -13,48 +13,47 @@ use serde::Serialize;
 
 use super::disturbance::{Disturbance, DisturbanceKind};
 
-/// From a SIGKILL to a pose measured in a frame exposed after it: at most this in the median ...
+/// Largest median time from a SIGKILL to a pose in a frame that was exposed later.
 pub(crate) const MEDIAN_RECOVERY_MS: f64 = 250.0;
-/// ... and this in the worst case, also after all other disturbances.
+/// Largest time to the next pose in the worst case, also after all other disturbances.
 pub(crate) const WORST_RECOVERY_MS: f64 = 2000.0;
-/// A pose is wrong if it is farther from the truth than one of these and than five standard
-/// deviations.
+/// Least errors of a wrong pose. Its error must also exceed five standard deviations.
 const WRONG_M: f64 = 0.1;
 const WRONG_RAD: f64 = 0.1745;
 /// Frames whose truth is kept until their tracks come.
 const TRUTH_FRAMES: usize = 256;
 
-/// What became of one disturbance.
+/// The effect of one disturbance.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 struct DisturbanceOutcome {
     kind: DisturbanceKind,
     worker: String,
     struck_ns: i64,
-    /// Until a neighbour was measured in a later frame, milliseconds.
+    /// Time until a neighbour was measured in a later frame, milliseconds.
     recovery_ms: Option<f64>,
-    /// Why it could not be done, such as a swap that was refused.
+    /// The reason why the disturbance failed, such as a refused swap.
     failure: Option<String>,
 }
 
-/// How a pipeline took its disturbances.
+/// The effects of disturbances on a pipeline.
 #[derive(Debug, Clone, Default, Serialize)]
 pub(crate) struct ChaosReport {
     outcomes: Vec<DisturbanceOutcome>,
-    /// Frames that ended.
+    /// Number of frames that ended.
     frames: u64,
-    /// Frames between those that did not.
+    /// Number of frames between them that did not end.
     frames_lost: u64,
-    /// The most of them in a row.
+    /// Largest number of consecutive lost frames.
     longest_gap: u64,
-    /// Poses that were measured.
+    /// Number of measured poses.
     poses: u64,
-    /// Poses that are not where the truth is.
+    /// Number of poses with a large error.
     wrong_poses: u64,
-    /// Poses that came twice.
+    /// Number of poses that were sent twice.
     double_poses: u64,
-    /// Tracks that began anew.
+    /// Number of tracks that were lost and began again.
     tracks_broken: u64,
-    /// Files in shared memory at the beginning and at the end.
+    /// Number of files in shared memory at the beginning and at the end.
     shared_files: [usize; 2],
     /// Bytes in shared memory at the beginning and at the end.
     shared_bytes: [u64; 2],
@@ -69,14 +68,14 @@ pub(crate) struct ChaosReport {
 }
 
 impl ChaosReport {
-    /// Forgets what was before, and counts what the pipeline has in shared memory.
+    /// Resets the counts, and measures the pipeline's shared memory.
     pub(crate) fn begin(&mut self, instance: &Instance) {
         let Self { newest, track_ids, told, truths, .. } = std::mem::take(self);
         *self = Self { newest, track_ids, told, truths, ..Self::default() };
         (self.shared_files[0], self.shared_bytes[0]) = shared_memory(instance);
     }
 
-    /// Counts what the pipeline has in shared memory at the end.
+    /// Measures the pipeline's shared memory at the end.
     pub(crate) fn end(&mut self, instance: &Instance) {
         (self.shared_files[1], self.shared_bytes[1]) = shared_memory(instance);
     }
@@ -86,7 +85,7 @@ impl ChaosReport {
         self.poses > 0
     }
 
-    /// A disturbance begins.
+    /// Notes the beginning of a disturbance.
     pub(crate) fn strike(&mut self, disturbance: &Disturbance, now_ns: i64) {
         self.outcomes.push(DisturbanceOutcome {
             kind: disturbance.kind,
@@ -97,7 +96,7 @@ impl ChaosReport {
         });
     }
 
-    /// The last disturbance could not be done.
+    /// Notes that the last disturbance failed.
     pub(crate) fn note_failure(&mut self, failure: String) {
         if let Some(last) = self.outcomes.last_mut() {
             last.failure = Some(failure);
@@ -109,7 +108,7 @@ impl ChaosReport {
         self.outcomes.last().is_none_or(|last| last.recovery_ms.is_some())
     }
 
-    /// The last disturbance, in words.
+    /// The effect of the last disturbance as text.
     pub(crate) fn last_line(&self) -> String {
         let Some(last) = self.outcomes.last() else { return String::new() };
         let recovery = match last.recovery_ms {
@@ -128,7 +127,7 @@ impl ChaosReport {
         }
     }
 
-    /// Takes the tracks of a frame that came at `now_ns`.
+    /// Takes the tracks of a frame that arrived at `now_ns`.
     pub(crate) fn tracks(&mut self, header: &TrackHeader, tracks: &[Track], now_ns: i64) {
         let stamp = header.stamp;
         for track in tracks {
@@ -183,8 +182,8 @@ impl ChaosReport {
         })
     }
 
-    /// Recoveries in milliseconds, rising, of the disturbances that `is_meant`; lost ones are
-    /// infinite.
+    /// Recovery times of the disturbances with `is_meant`, rising, milliseconds; infinite without a
+    /// recovery.
     fn recoveries(&self, is_meant: impl Fn(&DisturbanceOutcome) -> bool) -> Vec<f64> {
         let meant = self.outcomes.iter().filter(|outcome| is_meant(outcome));
         let mut rising: Vec<f64> =
@@ -193,7 +192,7 @@ impl ChaosReport {
         rising
     }
 
-    /// What is worse than it may be.
+    /// The limits that are exceeded, as texts.
     pub(crate) fn broken_limits(&self) -> Vec<String> {
         let mut broken = Vec::new();
         let kills = self.recoveries(|outcome| outcome.kind == DisturbanceKind::Kill);
@@ -202,7 +201,7 @@ impl ChaosReport {
                 "after SIGKILL the next pose took {ms:.0} ms in the median, {MEDIAN_RECOVERY_MS} may be"
             ));
         }
-        // A swap ends when the stage is swapped; what it costs is seen in the frames.
+        // A swap is excluded: it takes time by design, and lost frames show its cost.
         let all = self.recoveries(|outcome| outcome.kind != DisturbanceKind::Swap);
         if let Some(&ms) = all.last().filter(|&&ms| ms > WORST_RECOVERY_MS) {
             broken.push(format!(
@@ -299,7 +298,7 @@ fn name(kind: DisturbanceKind) -> &'static str {
     }
 }
 
-/// Files and bytes of an instance in shared memory.
+/// Numbers of an instance's files in shared memory, and of their bytes.
 fn shared_memory(instance: &Instance) -> (usize, u64) {
     let files = instance.shared_memory();
     let size = |path: &Path| std::fs::metadata(path).map_or(0, |found| found.len());

@@ -20,48 +20,49 @@ use super::report::{ConformanceReport, OWES};
 use flockeye_launcher::control::WorkerName;
 use flockeye_launcher::process::{LogLine, Process, ProcessChange, STOP_TIME};
 
-/// How often the test looks for messages.
+/// Interval at which the test checks for messages.
 const LOOK: Duration = Duration::from_micros(500);
 
-/// Health is late if none has come for this long.
+/// Largest time between two health messages.
 const LONGEST_SILENCE: Duration = Duration::from_millis(750);
 
-/// The last lines of a candidate come within this time after its end.
+/// Time after a candidate's end in which its last lines arrive.
 const LAST_WORDS: Duration = Duration::from_millis(200);
-/// Lines of the candidate that are kept.
+/// Largest number of the candidate's lines that are kept.
 const MOST_LINES: usize = 30;
 
-/// A message, copied.
+/// A copy of a message: header and items.
 pub(crate) type HeaderAndItems<T> = (<T as Topic>::Header, Vec<<T as Topic>::Item>);
 
-/// An instance with one process in it, and the test in place of all others. Ports go before the
-/// services, and these before the folder.
+/// An instance with one process, the candidate. The test takes the place of all others. Fields are
+/// dropped in this order: ports, services, folder.
 pub(crate) struct Bench {
     /// Ports of the test.
     pub ports: Ports,
-    /// What was checked so far.
+    /// The checks so far.
     pub report: ConformanceReport,
     healths: Subscriber<Healths>,
     process: Process,
     log: Receiver<LogLine>,
     lines: Vec<String>,
     newest: Option<Health>,
-    /// When the newest health was sent. The test itself may pause between two looks.
+    /// Time of sending of the newest health message, because the test may receive it later.
     sent_ns: i64,
     stopping: Arc<AtomicBool>,
     longest_silence: Duration,
     start_limit: Duration,
-    /// How it has ended, if it has.
+    /// The end of the process; `None` while it runs.
     ended: Option<String>,
     _services: Vec<TopicServices>,
     _ownership: Ownership,
 }
 
 impl Bench {
-    /// Makes the instance of this configuration. The candidate is not started yet.
+    /// Creates the instance of this configuration, without starting the candidate.
     ///
     /// # Errors
-    /// The instance or its shared memory cannot be had, or the candidate's program is not there.
+    /// The instance or its shared memory is not available, or the candidate's program does not
+    /// exist.
     pub(crate) fn new(
         resolved: &Resolved,
         stage: StageName,
@@ -103,8 +104,8 @@ impl Bench {
         })
     }
 
-    /// Starts the candidate, and waits until it is ready. False: it never was, and there is nothing
-    /// to test.
+    /// Starts the candidate, and waits until it is ready. False: it did not become ready, so it
+    /// cannot be tested.
     pub(crate) fn start(&mut self) -> anyhow::Result<bool> {
         self.process.start()?;
         let begun = Instant::now();
@@ -144,7 +145,7 @@ impl Bench {
         Ok(true)
     }
 
-    /// Calls `step` until it gives something, within `limit`; meanwhile health is read.
+    /// Calls `step` until it returns a value, for at most `limit`. Health is received meanwhile.
     pub(crate) fn wait<R>(
         &mut self,
         limit: Duration,
@@ -163,7 +164,7 @@ impl Bench {
         }
     }
 
-    /// The next message, checked by the contract: what fails the check is noted under `what`.
+    /// The next message. The contract's check is noted under `what`.
     pub(crate) fn next<T: Topic>(
         &mut self,
         messages: &mut Subscriber<T>,
@@ -187,12 +188,12 @@ impl Bench {
         self.newest.is_some_and(|health| health.state == StageState::Finished.code())
     }
 
-    /// Lets this time pass.
+    /// Waits for this time.
     pub(crate) fn pass(&mut self, time: Duration) -> anyhow::Result<()> {
         self.wait(time, |_| Ok(None::<()>)).map(drop)
     }
 
-    /// Whether the candidate runs; otherwise that is noted.
+    /// Checks that the candidate runs.
     pub(crate) fn runs(&mut self) -> bool {
         let wrong = self.ended.as_ref().map(|how| format!("it {how}"));
         let runs = wrong.is_none();
@@ -200,12 +201,12 @@ impl Bench {
         runs
     }
 
-    /// Messages that the candidate counts as published, by its newest health.
+    /// Number of published messages in the candidate's newest health.
     pub(super) fn published(&self) -> Option<u64> {
         self.newest.map(|health| health.published)
     }
 
-    /// Memory that the candidate holds, megabytes.
+    /// Resident memory of the candidate, megabytes.
     pub(crate) fn resident_mb(&self) -> f64 {
         self.newest.map_or(0.0, |health| health.resident_bytes as f64 / 1e6)
     }
@@ -225,16 +226,16 @@ impl Bench {
         }
         self.read_log(Duration::ZERO);
         if self.ended.is_none()
-            && let ProcessChange::Ended { how, .. } = self.process.attend(false, || {})?
+            && let ProcessChange::Ended { end, .. } = self.process.attend(false, || {})?
         {
-            self.ended = Some(how);
-            // Its last lines may still be on their way.
+            self.ended = Some(end.how);
+            // The last lines of the process may arrive later.
             self.read_log(LAST_WORDS);
         }
         Ok(())
     }
 
-    /// Reads what the candidate has written, and waits this long for each further line.
+    /// Reads the candidate's output, and waits this long for each further line.
     fn read_log(&mut self, patience: Duration) {
         while let Ok(line) = self.log.recv_timeout(patience) {
             if self.lines.len() < MOST_LINES {
@@ -243,7 +244,7 @@ impl Bench {
         }
     }
 
-    /// Tells the candidate to stop, and checks how it ends.
+    /// Sends SIGTERM to the candidate, and checks its end.
     pub(crate) fn stop(&mut self) -> anyhow::Result<()> {
         if !self.runs() {
             return Ok(());
@@ -273,10 +274,10 @@ impl Bench {
         Ok(())
     }
 
-    /// Ends the instance. Gives what was checked, and what the candidate wrote.
+    /// Ends the instance. Returns the checks and the candidate's output.
     pub(crate) fn finish(mut self) -> (ConformanceReport, String) {
         self.process.signal(rustix::process::Signal::KILL);
-        // Its last lines are of no use any more.
+        // Errors and output after the kill are ignored.
         let _ = self.wait(Duration::from_secs(1), |bench| Ok(bench.ended.as_ref().map(|_| ())));
         (self.report, self.lines.join("\n"))
     }

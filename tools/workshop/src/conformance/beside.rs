@@ -1,4 +1,4 @@
-//! A candidate beside Flockeye's own stage, in a pipeline that flies a recording or a simulated
+//! Test of a candidate beside Flockeye's own stage, in a pipeline with a recording or a simulated
 //! flight.
 
 use std::time::{Duration, Instant};
@@ -24,10 +24,10 @@ const START: Duration = Duration::from_secs(30);
 const WITHIN_S: f64 = 60.0;
 const TAKES_OVER: &str = "takes over from Flockeye's own stage";
 
-/// Refuses a stage that cannot run twice at once.
+/// Refuses a stage that cannot run in two processes at once.
 ///
 /// # Errors
-/// It owns a device or a port.
+/// The stage owns a device or a port.
 pub(crate) fn check(stage: StageName) -> anyhow::Result<()> {
     ensure!(
         can_shadow(stage),
@@ -37,8 +37,8 @@ pub(crate) fn check(stage: StageName) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Flies `source` with Flockeye's own stage, lets the candidate answer in its shadow and then in
-/// its place, and notes how they compare.
+/// Runs `source` with Flockeye's own stage. The candidate answers first in its shadow and then in
+/// its place. Notes the comparison.
 ///
 /// # Errors
 /// The pipeline does not start, or ends before both were compared.
@@ -55,10 +55,10 @@ pub(crate) fn run(
         format!("instance={name}"),
         "gateway.enabled=false".to_owned(),
         "recording.folder=null".to_owned(),
-        // A short recording goes on until both have found something.
+        // A short recording repeats until both have found something.
         "source.at_end=loop".to_owned(),
     ];
-    // Mistakes are reported before anything starts.
+    // Configuration errors are reported before any process starts.
     let configuration = configuration.clone().in_profile(Profile::Flight);
     configuration.load_with(&[], &fixed)?;
     let request = ControlRequest::Swap(SwapRequest {
@@ -86,8 +86,8 @@ pub(crate) fn run(
     Ok(())
 }
 
-/// Waits for frames, and lets the candidate take over. Gives the report of the swap, or why it was
-/// refused.
+/// Waits for frames, and swaps the candidate in. Returns the report of the swap, or the reason of a
+/// refusal.
 fn compare(
     fleet: &mut Fleet,
     instance: &Instance,
@@ -118,7 +118,7 @@ fn compare(
     }
 }
 
-/// The comparison in the shadow, as figures.
+/// Notes the comparison in the shadow as figures.
 fn note(compared: &Value, report: &mut ConformanceReport) {
     let figure = |name: &str| compared[name].as_f64().unwrap_or(f64::NAN);
     let share = |new: &str, old: &str| 100.0 * figure(new) / figure(old);

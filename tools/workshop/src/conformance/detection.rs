@@ -1,5 +1,5 @@
-//! A detection alone: views with a marker whose corners are known, without one, and such as nobody
-//! should send.
+//! Test of a detection stage: views with a marker whose corners are known, empty views, and
+//! malformed ones.
 
 use std::collections::BTreeSet;
 use std::time::Duration;
@@ -29,18 +29,18 @@ const FOCAL_PX: f64 = 260.0;
 const PATIENCE: Duration = Duration::from_secs(1);
 /// Time in which no answer must come.
 const QUIET: Duration = Duration::from_millis(200);
-/// After so many views without an answer there is nothing more to learn.
+/// Number of unanswered views after which the test ends.
 const MOST_UNANSWERED: u32 = 3;
-/// The contract's largest angle between a ray and its corner's, radians.
+/// Largest angle between a ray and the ray of its corner by the contract, radians.
 const LARGEST_ANGLE_RAD: f64 = 1e-3;
-/// A decoded corner farther from the truth is not this marker's, pixels.
+/// Largest error of a decoded corner that still belongs to the marker, pixels.
 const FAR_OFF_PX: f64 = 5.0;
-/// A process that has seen enough views takes no more memory, megabytes.
+/// Largest growth of memory after the first views, megabytes.
 const GROWTH_MB: f64 = 20.0;
 
 type Record = (DetectionHeader, Vec<DetectedMarker>);
 
-/// What is sent and received.
+/// Ports and state of the test.
 struct Script {
     views: Publisher<Views>,
     records: Subscriber<Detections>,
@@ -73,7 +73,7 @@ pub(crate) fn run(bench: &mut Bench, resolved: &Resolved) -> anyhow::Result<()> 
 }
 
 impl Script {
-    /// A view of this number that is as it should be.
+    /// A valid header for the next view.
     fn header(&mut self) -> ViewHeader {
         self.sent += 1;
         let now_ns = clock::monotonic_ns();
@@ -113,7 +113,7 @@ impl Script {
         bench.next(&mut self.records, "records pass the contract's check", patience)
     }
 
-    /// Sends a view and checks that it is answered, and as it must be.
+    /// Sends a view, and checks its answer.
     fn asked(
         &mut self,
         bench: &mut Bench,
@@ -213,7 +213,7 @@ impl Script {
                     || format!("marker {} in a grey picture", markers[0].id),
                 ),
             }
-            // The view is sent again.
+            // The same view is sent a second time.
             if number % 40 == 1 {
                 let again = ViewHeader { issued_ns: clock::monotonic_ns(), ..view };
                 if let Some((_, others)) = self.asked(bench, again, &pixels)? {
@@ -249,7 +249,7 @@ impl Script {
         Ok(())
     }
 
-    /// As many views as rectification keeps in flight.
+    /// Sends as many views at once as rectification keeps in flight.
     fn several_at_once(&mut self, bench: &mut Bench, window: u32) -> anyhow::Result<()> {
         for _ in 0..5 {
             let views: Vec<ViewHeader> = (0..window).map(|_| self.header()).collect();
@@ -277,7 +277,7 @@ impl Script {
         Ok(())
     }
 
-    /// Views for another worker.
+    /// Sends a view for another worker, which must not be answered.
     fn askers(&mut self, bench: &mut Bench) -> anyhow::Result<()> {
         let others = ViewHeader { worker: 1, ..self.header() };
         let pixels = pictures::view(&self.dictionary, None, SIZE_PX, FOCAL_PX);
@@ -292,7 +292,7 @@ impl Script {
         Ok(())
     }
 
-    /// What nobody should send costs nothing but itself.
+    /// Malformed messages must not affect later ones.
     fn malformed(&mut self, bench: &mut Bench) -> anyhow::Result<()> {
         let id = self.owned.iter().next().copied().unwrap_or_default();
         let marker = ShownMarker::number(1, id, 60.0, FOCAL_PX);
@@ -309,7 +309,7 @@ impl Script {
             ("three pixels a side", ViewHeader { size_px: 3, stride: 3, ..honest }),
         ] {
             self.send(view, &pixels)?;
-            // It may be acknowledged as failed, or not at all.
+            // The answer may be a record with `failed`, or none.
             self.answer(bench, QUIET)?;
             let view = self.header();
             self.send(view, &pixels)?;
@@ -335,7 +335,7 @@ impl Script {
     }
 }
 
-/// How far a marker's rays lie from its corners', radians.
+/// Largest angle between a marker's rays and the rays of its corners, radians.
 fn disagreement(view: &ViewHeader, marker: &DetectedMarker) -> f64 {
     let camera_from_view = rotation(view.camera_from_view);
     let middle = f64::from(view.size_px - 1) / 2.0;
@@ -347,8 +347,7 @@ fn disagreement(view: &ViewHeader, marker: &DetectedMarker) -> f64 {
     angles.fold(0.0, f64::max)
 }
 
-/// How far a marker's corners are from where they really are, in the mean; `None` if it was not
-/// decoded.
+/// Mean error of a marker's corners, pixels; `None` if the marker was not decoded.
 fn error_px(shown: &ShownMarker, markers: &[DetectedMarker]) -> Option<f64> {
     let marker = markers.iter().find(|marker| marker.id == shown.id && marker.is_decoded())?;
     let truth = shown.corners(SIZE_PX, FOCAL_PX);

@@ -1,4 +1,4 @@
-//! An egomotion alone: a textured world round a camera that the test turns.
+//! Test of an egomotion stage: a textured world around a camera that the test rotates.
 
 use std::time::Duration;
 
@@ -19,18 +19,17 @@ const PAGE: &str = "Egomotion (frame and imu to rotation)";
 
 /// Frames of the textured world.
 const FRAMES: u32 = 16;
-/// Frames that show nothing, one after the other.
+/// Number of consecutive blank frames.
 const BLANK: u32 = 4;
-/// From exposure to exposure.
+/// Time between two exposures.
 const PERIOD_NS: i64 = 33_000_000;
 /// Timeout for an answer.
 const PATIENCE: Duration = Duration::from_secs(3);
-/// A rotation farther from the truth is not this frame's, degrees.
+/// Largest error of a rotation that still belongs to the frame, degrees.
 const FAR_OFF_DEG: f64 = 1.0;
-/// Share of the textured world's rotations that must be known.
+/// Least share of known rotations in the textured world.
 const LEAST_KNOWN: f64 = 0.8;
-/// Errors that are so much larger than stated, in the median, make the covariance a lie. 2.4 is
-/// right.
+/// Largest median of the normalised squared error for a valid covariance; 2.4 is expected.
 const MOST_NORMALIZED: f64 = 40.0;
 
 struct Script {
@@ -49,7 +48,7 @@ pub(crate) fn run(bench: &mut Bench, resolved: &Resolved) -> anyhow::Result<()> 
         frames: bench.ports.publisher()?,
         rotations: bench.ports.subscriber()?,
         sequence: 0,
-        // In the past, so that no frame is sent before it is exposed.
+        // Exposures are in the past, so that no frame is sent before its exposure.
         exposure_ns: clock::monotonic_ns() - 2_000_000_000,
     };
     script.turns(bench)?;
@@ -60,7 +59,7 @@ pub(crate) fn run(bench: &mut Bench, resolved: &Resolved) -> anyhow::Result<()> 
 }
 
 impl Script {
-    /// The next frame, which is sent at once.
+    /// The header of the next frame, which is sent immediately.
     fn frame(&mut self) -> FrameHeader {
         self.sequence += 1;
         self.exposure_ns += PERIOD_NS;
@@ -102,14 +101,14 @@ impl Script {
         Ok(Some(rotation))
     }
 
-    /// The textured world.
+    /// Test with the textured world.
     fn turns(&mut self, bench: &mut Bench) -> anyhow::Result<()> {
         let attitudes = attitudes();
-        // Drawn before the first is sent, because frames come as fast as a camera's.
+        // All pictures are drawn first, because frames are sent at a camera's rate.
         let mut pictures = Vec::new();
         for attitude in &attitudes {
             pictures.push(pictures::textured_world(&self.shape, attitude));
-            // Health goes on meanwhile.
+            // Health is received meanwhile.
             bench.pass(Duration::ZERO)?;
         }
         let mut before: Option<(FrameStamp, UnitQuaternion<f64>)> = None;
@@ -168,7 +167,7 @@ impl Script {
         bench.report.median("error, median", errors_deg, "degrees");
         let what = "squared error against the covariance, median";
         let typical = bench.report.median(what, normalized, "(2.4 is right)");
-        // A missing rotation has been reported above.
+        // The check of known rotations above reports missing ones.
         bench.report.holds("the covariance is honest", PAGE, typical.is_nan() || typical < MOST_NORMALIZED, || {
             format!(
                 "squared errors are {typical:.0} times the covariance in the median; 2.4 is right"
@@ -178,13 +177,13 @@ impl Script {
         Ok(())
     }
 
-    /// A picture in which nothing can be seen.
+    /// Test with blank pictures.
     fn blank(&mut self, bench: &mut Bench) -> anyhow::Result<()> {
         for number in 0..BLANK {
             let frame = self.frame();
             let pixels = vec![16; (frame.stride * frame.height) as usize];
             let Some(rotation) = self.asked(bench, &frame, &pixels)? else { return Ok(()) };
-            // The picture before the first one covers a part of it.
+            // The first blank frame has a textured predecessor, so it is skipped.
             if number > 0 {
                 let source = rotation.source;
                 let is_known = source != RotationSource::Nothing.code();
@@ -196,7 +195,7 @@ impl Script {
         Ok(())
     }
 
-    /// Frames that nobody should send cost nothing but themselves.
+    /// Malformed frames must not affect later ones.
     fn malformed(&mut self, bench: &mut Bench) -> anyhow::Result<()> {
         let good = self.frame();
         for bad in [
@@ -227,8 +226,8 @@ impl Script {
     }
 }
 
-/// How the camera looks into the world, frame by frame: up to 2 degrees a frame about each axis, as
-/// a drone turns, which does not change from one frame to the next.
+/// The camera's attitudes in the world, frame by frame. It turns by up to 2 degrees per frame about
+/// each axis, and smoothly as a drone does.
 fn attitudes() -> Vec<UnitQuaternion<f64>> {
     let mut attitude = UnitQuaternion::identity();
     (0..FRAMES)

@@ -1,4 +1,4 @@
-//! A fusion alone: records of a body whose pose is known, in the place of all other stages.
+//! Test of a fusion stage: detection records of a body with a known pose.
 
 use std::time::Duration;
 
@@ -24,16 +24,16 @@ const FRAMES: u64 = 45;
 const INTERVAL: Duration = Duration::from_millis(33);
 /// Time for a frame from its end to its last tracks.
 const PATIENCE: Duration = Duration::from_secs(1);
-/// After this many frames without last tracks or a plan, the others are not waited for.
+/// Number of frames without last tracks or a plan after which the test waits no more.
 const MOST_UNANSWERED: u32 = 3;
 /// Pixels along a side of a view.
 const VIEW_PX: u32 = 16;
-/// What its sides span, radians.
+/// Field of a view along each side, radians.
 const FIELD_RAD: f64 = 2.0;
 /// Stated deviation of rays, radians.
 const DEVIATION_RAD: f64 = 3e-4;
 
-/// What fusion sent of a frame.
+/// The messages of fusion about a frame.
 #[derive(Default)]
 struct FrameAnswer {
     tracks: Vec<Track>,
@@ -107,7 +107,7 @@ impl Script<'_> {
         }
     }
 
-    /// A frame with one view, in which these markers were found, and what fusion sends of it.
+    /// Sends a frame with one view that has these markers. Returns the messages of fusion about it.
     fn fly(
         &mut self,
         bench: &mut Bench,
@@ -129,7 +129,7 @@ impl Script<'_> {
             target: NONE,
             ..ViewHeader::default()
         };
-        // It is too small to show anything: what counts is its detection record.
+        // The view is too small to show a body. Only its detection record matters.
         self.views.send(view, &[128; (VIEW_PX * VIEW_PX) as usize])?;
         let record = DetectionHeader {
             stamp,
@@ -206,7 +206,7 @@ impl Script<'_> {
         Ok(told)
     }
 
-    /// A body that flies by.
+    /// Test with a body that flies by.
     fn body_in_sight(&mut self, bench: &mut Bench) -> anyhow::Result<()> {
         let Some(body) = self.resolved.bodies.iter().next() else { return Ok(()) };
         let (mut errors_mm, mut took_ms, mut measured, mut age_ns) =
@@ -277,7 +277,7 @@ impl Script<'_> {
         Ok(())
     }
 
-    /// Nobody is seen any more: a track ends once.
+    /// Test without a body in view: the track must end once.
     fn body_out_of_sight(&mut self, bench: &mut Bench) -> anyhow::Result<()> {
         let frames =
             (self.resolved.pipeline.fusion.coast_s * 1.5 / INTERVAL.as_secs_f64()) as u64 + 5;
@@ -302,7 +302,7 @@ impl Script<'_> {
         Ok(())
     }
 
-    /// What nobody should send costs nothing but itself.
+    /// Malformed messages must not affect later ones.
     fn malformed(&mut self, bench: &mut Bench) -> anyhow::Result<()> {
         let stamp = self.stamp();
         let marker =
@@ -324,7 +324,7 @@ impl Script<'_> {
             self.records.send(header, &markers)?;
         }
         self.ends.send(FrameEnd { stamp, reason: 77, ..FrameEnd::default() }, &[])?;
-        // A frame of which a record is missing is given up, also if no other follows.
+        // A frame with a missing record must end by a timeout, also without later frames.
         let stamp = self.stamp();
         let end = FrameEnd {
             stamp,
@@ -365,7 +365,7 @@ impl Script<'_> {
     }
 }
 
-/// Where the body's markers are in the camera frame, by time in seconds.
+/// Pose of the body's markers in the camera frame at a time, seconds.
 fn pose(at_s: f64) -> Isometry3<f64> {
     Isometry3::from_parts(
         Translation3::new(0.8 + 0.1 * at_s, 0.3 * (1.5 * at_s).sin(), 0.2),
@@ -373,21 +373,21 @@ fn pose(at_s: f64) -> Isometry3<f64> {
     )
 }
 
-/// The one view of each frame: it looks at where the body flies.
+/// The view of each frame, towards the body.
 fn view() -> View {
     View::looking_at(&Unit::new_normalize(pose(0.5).translation.vector), FIELD_RAD, VIEW_PX)
 }
 
-/// What a detector finds of a body in frame `number`: the markers that face the camera, with errors
-/// as stated.
+/// The detected markers of a body in frame `number`: those that face the camera, with errors as
+/// stated.
 fn markers(body: &Body, pose: &Isometry3<f64>, number: u64) -> Vec<DetectedMarker> {
     let eye = pose.inverse_transform_point(&Point3::origin());
     let facing = body
         .markers
         .iter()
         .filter(|marker| marker.normal().dot(&(eye - marker.centre()).normalize()) > 0.5);
-    // The root of two makes a sine's deviation one. Irrational steps, so that no two errors are
-    // alike.
+    // With the factor sqrt(2) a sine has standard deviation 1. Irrational steps make all errors
+    // different.
     let error = |id: u32, corner: usize, axis: usize| {
         let place =
             number as f64 * 0.618_034 + f64::from(id) * 0.414_214 + corner as f64 * 0.302_776;

@@ -1,4 +1,4 @@
-//! A gateway alone: tracks go in, and a peer on the network receives reports.
+//! Test of a gateway: it receives tracks, and a peer on the network receives its reports.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -20,13 +20,13 @@ const PAGE: &str = "Gateway (track to the network)";
 
 /// Poses of one test.
 const POSES: u64 = 40;
-/// From pose to pose.
+/// Time between two poses.
 const PERIOD: Duration = Duration::from_millis(33);
 /// Timeout for a report.
 const PATIENCE: Duration = Duration::from_secs(2);
 /// Time in which no report must come.
 const QUIET: Duration = Duration::from_millis(300);
-/// Numbers may be rounded to this on the way.
+/// Largest rounding error of numbers in a report.
 const ROUNDED: f64 = 1e-5;
 
 struct Script<'r> {
@@ -45,7 +45,7 @@ pub(crate) fn run(bench: &mut Bench, resolved: &Resolved) -> anyhow::Result<()> 
     let observer = &resolved.pipeline.observer.name;
     let is_alive = bench.wait(link, |_| {
         let peers = listener.snapshot();
-        // The peer is connected: reports from now on are not missed.
+        // The peer is connected, so it receives all further reports.
         Ok(peers
             .observers
             .get(observer)
@@ -91,7 +91,7 @@ impl Script<'_> {
         }
     }
 
-    /// A pose of this number, with a covariance in which each number is another one.
+    /// A track for a stamp, whose covariance has only different numbers.
     fn track(&self, stamp: &FrameStamp) -> Track {
         let number = stamp.sequence as f64;
         let turn = UnitQuaternion::from_euler_angles(0.1 * number, 0.2, 0.3);
@@ -109,7 +109,7 @@ impl Script<'_> {
         Track {
             name: name.into(),
             observer_from_target: pose,
-            // Others, so that a mix-up is seen.
+            // Different poses, so that a mix-up is visible.
             predicted_observer_from_target: Pose { position: [9.0, 9.0, 9.0], ..pose },
             measured_observer_from_target: Pose { position: [-9.0, 9.0, 9.0], ..pose },
             angular_velocity: [0.4, -0.5, 0.6],
@@ -130,8 +130,8 @@ impl Script<'_> {
             .send(TrackHeader { stamp, is_last: 1, ..TrackHeader::default() }, &[track])?)
     }
 
-    /// The report on this frame. What is left of earlier ones is passed over: a listener that has
-    /// just come asks for the last values too.
+    /// The report on this frame. Earlier reports are skipped, because a new subscriber also
+    /// receives the last values.
     fn report_of(
         &self,
         bench: &mut Bench,
@@ -172,7 +172,7 @@ impl Script<'_> {
         Ok(())
     }
 
-    /// A report must agree with its track.
+    /// Checks that a report has the values of its track.
     fn compare(
         &self,
         report: &mut ConformanceReport,
@@ -193,7 +193,7 @@ impl Script<'_> {
         let covariance: Vec<f64> = upper.map(|index| track.covariance[index]).collect();
         let pose = track.observer_from_target;
         let said = &heard.target;
-        // A quaternion and its negative are one rotation.
+        // A quaternion and its negative are the same rotation.
         let sign = if said.orientation[3] * pose.orientation[3] < 0.0 { -1.0 } else { 1.0 };
         let orientation = said.orientation.map(|q| sign * q);
         for (field, found, wanted) in [

@@ -1,4 +1,4 @@
-//! An inertial stage alone: its samples, while whatever it reads sends them.
+//! Test of an inertial stage: its samples, while its own source sends them.
 
 use std::time::{Duration, Instant};
 
@@ -15,7 +15,8 @@ const PAGE: &str = "Inertial sensor (to imu)";
 const SAMPLES: usize = 200;
 /// Timeout for each further message.
 const PATIENCE: Duration = Duration::from_secs(2);
-/// A sample that is so far from now has another clock, nanoseconds.
+/// Largest difference of a sample's time from the present time, nanoseconds. A larger one means a
+/// wrong clock.
 const NEAR_NS: i64 = 1_000_000_000;
 
 /// Tests the candidate.

@@ -1,5 +1,5 @@
-//! A stage that hands tracks to something outside the swarm: ROS 2 or the autopilot. Nobody is at
-//! the other end here, so the test looks at what the stage counts.
+//! Test of a stage that sends tracks to ROS 2 or to the autopilot. The test has no receiver, so it
+//! checks the stage's own counts.
 
 use std::time::Duration;
 
@@ -13,12 +13,12 @@ use super::report::{MUST_PASS, OWES};
 
 /// Poses of the test.
 const POSES: u64 = 40;
-/// Time from pose to pose.
+/// Time between two poses.
 const PERIOD: Duration = Duration::from_millis(33);
 /// Timeout for the counts in health.
 const PATIENCE: Duration = Duration::from_secs(2);
 
-/// Tests it.
+/// Tests the candidate.
 pub(super) fn run(bench: &mut Bench, _resolved: &Resolved) -> anyhow::Result<()> {
     let tracks = bench.ports.publisher::<Tracks>()?;
     for sequence in 0..POSES {

@@ -1,5 +1,5 @@
-//! Pictures of which the test knows everything: views that show a marker, and a sphere in which
-//! each ray has its own brightness.
+//! Test pictures with known content: views that show a marker, and a sphere with its own brightness
+//! along each ray.
 
 use anyhow::ensure;
 use flockeye_config::Resolved;
@@ -20,9 +20,10 @@ const BACKGROUND: f64 = 120.0;
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct ShownMarker {
     pub id: u32,
-    /// From the printed pattern's middle (x right, y down, z into the paper) to the view's frame.
+    /// Pose of the printed pattern (origin in its middle, x right, y down, z into the paper) in the
+    /// view's frame.
     pub view_from_print: Isometry3<f64>,
-    /// Its black square's side, metres.
+    /// Side of the black square, metres.
     pub side_m: f64,
 }
 
@@ -31,7 +32,7 @@ impl ShownMarker {
     /// tilted differently for each `number`.
     pub(crate) fn number(number: u32, id: u32, side_px: f64, focal_px: f64) -> Self {
         let number = f64::from(number);
-        // Irrational steps, so that no two are alike.
+        // Irrational steps make all views different.
         let swing = |step: f64, reach: f64| reach * (std::f64::consts::TAU * number * step).sin();
         let distance_m = 1.0 + swing(0.618_034, 0.2);
         let side_m = side_px * distance_m / focal_px;
@@ -44,7 +45,8 @@ impl ShownMarker {
         Self { id, view_from_print: Isometry3::from_parts(aside, turn), side_m }
     }
 
-    /// Where its corners are in a view of this size, clockwise from the printed top left, pixels.
+    /// Positions of the corners in a view of this size, clockwise from the printed top left,
+    /// pixels.
     pub(crate) fn corners(&self, size_px: u32, focal_px: f64) -> [Point2<f64>; 4] {
         let middle = f64::from(size_px - 1) / 2.0;
         [[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]].map(|[x, y]| {
@@ -54,7 +56,8 @@ impl ShownMarker {
     }
 }
 
-/// A view's pixels, row by row: a grey wall, and the marker on a white sheet a cell wider than it.
+/// Pixels of a view, row by row: a grey wall, and the marker on a white sheet with a margin of one
+/// cell.
 pub(crate) fn view(
     dictionary: &Dictionary,
     shown: Option<&ShownMarker>,
@@ -74,7 +77,7 @@ pub(crate) fn view(
         let ray = print_from_view * ray;
         let reach = -eye.z / ray.z;
         let at = eye + ray * reach;
-        // In cells from the black square's top left.
+        // Position in cells from the top left of the black square.
         let [x, y] = [at.x, at.y].map(|along| (along / shown.side_m + 0.5) * cells);
         let is_on_sheet = [x, y].iter().all(|along| (-1.0..=cells + 1.0).contains(along));
         match is_on_sheet && reach > 0.0 {
@@ -97,7 +100,7 @@ pub(crate) fn view(
 /// A frame of the configured camera, without its stamp.
 ///
 /// # Errors
-/// A camera whose pictures the test cannot draw.
+/// The test cannot draw pictures of the camera's projection.
 pub(crate) fn frame_shape(resolved: &Resolved, transfer: Transfer) -> anyhow::Result<FrameHeader> {
     ensure!(
         matches!(resolved.camera.model(), CameraModel::Equirectangular { .. }),
@@ -114,10 +117,10 @@ pub(crate) fn frame_shape(resolved: &Resolved, transfer: Transfer) -> anyhow::Re
     })
 }
 
-/// Side of the table of random levels.
+/// Side of the cubic table of random levels.
 const LATTICE: usize = 32;
 
-/// A world full of soft spots of two sizes, as the camera sees it.
+/// The camera's picture of a world with soft spots of two sizes.
 pub(crate) fn textured_world(
     header: &FrameHeader,
     world_from_camera: &UnitQuaternion<f64>,
@@ -151,9 +154,10 @@ pub(crate) fn textured_world(
     enlarged(&drawn, &coarse, header)
 }
 
-/// A picture of the whole sphere in a larger size, linear between pixels.
+/// A picture of the whole sphere in a larger size, with linear interpolation.
 fn enlarged(pixels: &[u8], from: &FrameHeader, to: &FrameHeader) -> Vec<u8> {
-    /// The two pixels along one axis between which a pixel lies, and how near it is to the second.
+    /// The first of the two source pixels around a pixel along one axis, and the weight of the
+    /// second.
     fn between(at: u32, size: u32, of: u32) -> (i64, f32) {
         let place = (f64::from(at) + 0.5) * f64::from(of) / f64::from(size) - 0.5;
         (place.floor() as i64, (place - place.floor()) as f32)
@@ -182,7 +186,8 @@ fn enlarged(pixels: &[u8], from: &FrameHeader, to: &FrameHeader) -> Vec<u8> {
     larger
 }
 
-/// What the sphere shows along a ray in the camera frame: smooth, and different wherever one looks.
+/// Brightness of the sphere along a ray in the camera frame: smooth, and different in all
+/// directions.
 pub(crate) fn level(ray: &Vector3<f64>) -> f64 {
     let [x, y, z] = [ray.x, ray.y, ray.z];
     128.0 + 50.0 * x * (3.0 * y).cos() + 45.0 * (4.0 * z).sin() * y + 20.0 * z
@@ -193,7 +198,7 @@ pub(crate) fn sphere(header: &FrameHeader) -> Vec<u8> {
     equirectangular(header, |ray| level(&ray))
 }
 
-/// A picture of what `level` gives along each ray in the camera frame.
+/// An equirectangular picture with the brightness `level` along each ray in the camera frame.
 fn equirectangular(header: &FrameHeader, level: impl Fn(Vector3<f64>) -> f64) -> Vec<u8> {
     let (width, height, stride) = (header.width, header.height, header.stride as usize);
     let mut pixels = vec![0; stride * height as usize];

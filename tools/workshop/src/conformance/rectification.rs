@@ -1,5 +1,4 @@
-//! A rectification alone: a sphere whose every ray is known, plans, and answers in the workers'
-//! place.
+//! Test of a rectification stage: a sphere with known brightness, plans, and answers of workers.
 
 use std::time::Duration;
 
@@ -25,27 +24,27 @@ const PAGE: &str = "Rectification (frame, plan, detection to view, frame_end)";
 
 /// Timeout for a frame from its publication to its end.
 const PATIENCE: Duration = Duration::from_secs(5);
-/// After so many frames that did not end in time, the others are not waited for.
+/// Number of frames without an end in time after which the test waits only briefly.
 const MOST_UNANSWERED: u32 = 2;
-/// Time for the candidate to deal with malformed messages.
+/// Time for the candidate to receive malformed messages.
 const TAKEN_UP: Duration = Duration::from_millis(100);
-/// A plan is stale after this.
+/// Age of a stale plan.
 const STALE: Duration = Duration::from_millis(1200);
-/// Mean difference of a view's pixels from what the sphere shows along their rays, levels.
+/// Largest mean difference between a view's pixels and the sphere along their rays, levels.
 const MEAN_ERROR_LEVELS: f64 = 1.0;
-/// A view that is turned by its rate must be so near to where it should look, radians.
+/// Largest error of a view's direction that is turned by its rate, radians.
 const TURN_ERROR_RAD: f64 = 1e-6;
-/// How fast planned views turn in the test, rad/s.
+/// Angular velocity of planned views, rad/s.
 const RATE: [f64; 3] = [0.2, -0.4, 0.9];
 
-/// A view as it came.
+/// A received view.
 struct LaneView {
     header: ViewHeader,
     lane: usize,
     error_levels: f64,
 }
 
-/// What a frame led to.
+/// The views and the end of a frame.
 #[derive(Default)]
 struct FrameCuts {
     views: Vec<LaneView>,
@@ -108,7 +107,7 @@ impl Script<'_> {
         }
     }
 
-    /// Sends a plan of the first `count` tiles, turning.
+    /// Sends a plan of the first `count` tiles, which turn.
     fn plan(&mut self, count: usize, rule: StopRule) -> anyhow::Result<Vec<PlannedView>> {
         self.plan_id += 1;
         let now_ns = clock::monotonic_ns();
@@ -138,8 +137,8 @@ impl Script<'_> {
         Ok(planned)
     }
 
-    /// Sends a frame, and answers its views as `answer` says until it ends and all are answered:
-    /// how many hits each has, or `None` for no answer.
+    /// Sends a frame, and answers its views until it has ended and all are answered. `answer`
+    /// returns the number of hits, or `None` for no answer.
     fn fly(
         &mut self,
         bench: &mut Bench,
@@ -253,7 +252,7 @@ impl Script<'_> {
         );
     }
 
-    /// Without a plan it sweeps.
+    /// Test without a plan: the candidate sweeps.
     fn sweep(&mut self, bench: &mut Bench) -> anyhow::Result<()> {
         let (_, told) = self.fly(bench, |_| Some(0))?;
         for cut in &told.views {
@@ -274,7 +273,7 @@ impl Script<'_> {
         Ok(())
     }
 
-    /// A plan is followed, and its views turn with the camera.
+    /// Test with plans: they are followed, and their views turn with the camera.
     fn planned(&mut self, bench: &mut Bench) -> anyhow::Result<()> {
         let mut took_ms = Vec::new();
         for _ in 0..10 {
@@ -347,7 +346,7 @@ impl Script<'_> {
         Ok(())
     }
 
-    /// The search stops at a hit.
+    /// Test of the rule that the search stops at a hit.
     fn first_hit(&mut self, bench: &mut Bench) -> anyhow::Result<()> {
         let window = self.resolved.pipeline.rectification.window;
         let in_flight = window * self.resolved.pipeline.detection_workers();
@@ -377,7 +376,7 @@ impl Script<'_> {
         Ok(())
     }
 
-    /// A worker that does not answer loses its views to another.
+    /// Test of a worker without answers: another worker gets its views.
     fn silent_worker(&mut self, bench: &mut Bench) -> anyhow::Result<()> {
         if self.views.len() < 2 {
             return Ok(());
@@ -400,8 +399,8 @@ impl Script<'_> {
     }
 }
 
-/// How far a view's pixels are from what the sphere shows along their rays, in the mean over some
-/// of them.
+/// Mean difference between a view's pixels and the sphere along their rays, over some of the
+/// pixels.
 fn error_levels(header: &ViewHeader, pixels: &[u8]) -> f64 {
     let view = View {
         camera_from_view: rotation(header.camera_from_view),
@@ -434,7 +433,7 @@ fn answer_to(view: &ViewHeader, hits: u32) -> DetectionHeader {
     }
 }
 
-/// This many markers, somewhere.
+/// A list of `count` markers.
 fn markers(count: u32) -> Vec<DetectedMarker> {
     let marker = |id| DetectedMarker {
         rays_in_camera: [[1.0, 0.0, 0.0]; 4],

@@ -1,4 +1,4 @@
-//! What was checked, and what was found.
+//! Checks and findings of a conformance test.
 
 use std::fmt::Write;
 
@@ -17,19 +17,19 @@ pub(crate) struct ConformanceReport {
     figures: Vec<Figure>,
 }
 
-/// One thing that the contract asks for.
+/// A requirement of the contract.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 struct Check {
     what: &'static str,
     /// The heading in docs/CONTRACT.md.
     page: &'static str,
-    /// The first thing that was wrong; `None`: it holds.
+    /// The first finding; `None`: the check has passed.
     wrong: Option<String>,
-    /// How often it was wrong.
+    /// Number of findings.
     times: u32,
 }
 
-/// How good the candidate is.
+/// A figure of the candidate's quality.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 struct Figure {
     what: &'static str,
@@ -38,8 +38,8 @@ struct Figure {
 }
 
 impl ConformanceReport {
-    /// Notes that something was checked: `wrong` says what is not as it must be. Only the first
-    /// finding of each check is kept.
+    /// Notes a check, and the finding `wrong` if it has failed. Only the first finding of each
+    /// check is kept.
     pub(crate) fn check(&mut self, what: &'static str, page: &'static str, wrong: Option<String>) {
         let check = match self.checks.iter().position(|check| check.what == what) {
             Some(known) => &mut self.checks[known],
@@ -55,7 +55,7 @@ impl ConformanceReport {
         }
     }
 
-    /// Notes what the contract's check says of a message.
+    /// Notes the result of the contract's check of a message.
     pub(crate) fn verdict<E: std::fmt::Display>(
         &mut self,
         what: &'static str,
@@ -64,7 +64,7 @@ impl ConformanceReport {
         self.check(what, MUST_PASS, verdict.err().map(|error| error.to_string()));
     }
 
-    /// Checks that something holds; `wrong` is asked what is wrong where it does not.
+    /// Notes a check that passes if `holds`. Otherwise `wrong` gives the finding.
     pub(crate) fn holds(
         &mut self,
         what: &'static str,
@@ -75,7 +75,7 @@ impl ConformanceReport {
         self.check(what, page, (!holds).then(wrong));
     }
 
-    /// Checks that a field is as it must be.
+    /// Checks that a field has the wanted value.
     pub(crate) fn field<T: PartialEq + std::fmt::Debug>(
         &mut self,
         what: &'static str,
@@ -93,7 +93,7 @@ impl ConformanceReport {
         self.figures.push(Figure { what, value, unit });
     }
 
-    /// Notes the median of what was measured, and returns it; without a value it is no number.
+    /// Notes the median of measured values, and returns it; NaN without values.
     pub(crate) fn median(
         &mut self,
         what: &'static str,
@@ -106,12 +106,12 @@ impl ConformanceReport {
         value
     }
 
-    /// How many checks failed.
+    /// Number of failed checks.
     pub(crate) fn failed(&self) -> usize {
         self.checks.iter().filter(|check| check.wrong.is_some()).count()
     }
 
-    /// For people: what failed comes with the first finding and its page.
+    /// The report as text. A failed check has its first finding and its page.
     pub(crate) fn text(&self) -> String {
         let mut text = String::new();
         for Check { what, page, wrong, times } in &self.checks {

@@ -1,4 +1,4 @@
-//! A source alone: its frames, one by one, and in a lossless run only on credit.
+//! Test of a source: its frames one by one, and frames on credit in a lossless run.
 
 use std::time::{Duration, Instant};
 
@@ -18,9 +18,9 @@ const FRAMES: usize = 60;
 const CREDITS: u64 = 10;
 /// Timeout for each further frame.
 const PATIENCE: Duration = Duration::from_secs(5);
-/// Time in which nobody reads.
+/// Time in which no frame is received.
 const PAUSE: Duration = Duration::from_secs(1);
-/// A frame that is this much older than now was kept somewhere, nanoseconds.
+/// Largest age of a frame, nanoseconds. An older one was held back.
 const STALE_NS: i64 = 1_000_000_000;
 /// Time in which no frame must come without credit.
 const QUIET: Duration = Duration::from_millis(500);
@@ -119,7 +119,7 @@ impl Script<'_> {
         if is_over {
             return Ok(());
         }
-        // Nobody reads: the source goes on, and what it sends afterwards is new.
+        // No frame is received meanwhile. The source must continue, and later frames must be new.
         bench.pass(PAUSE)?;
         let mut newest = None;
         while let Some(frame) = self.next(bench, Duration::from_millis(1))? {
@@ -193,7 +193,7 @@ impl Script<'_> {
         bench
             .report
             .holds(what, PAGE, surplus.is_none(), || "two frames came for one plan".to_owned());
-        // A new fusion opens the flow anew.
+        // A new fusion starts the flow again.
         give_credit(&plans, 1, None)?;
         let again = self.next(bench, PATIENCE)?;
         bench.report.holds(

@@ -1,7 +1,8 @@
-//! Where drones have each other, beside the truth.
+//! Comparison of the drones' claims about each other with the truth.
 //!
-//! The truth is known at the exposures of a drone's camera; claims about the others hold for other
-//! instants. Between two exposures the truth goes straight on and turns evenly.
+//! A claim is a drone's estimate of another drone's pose at an instant. The truth is known at the
+//! exposures of a drone's camera. Between two exposures it is interpolated linearly, and rotations
+//! at a constant rate.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::fmt;
@@ -14,35 +15,35 @@ use flockeye_peer::UncertainPose;
 use nalgebra::Isometry3;
 use serde::Serialize;
 
-/// Truths of a pair that are kept: a few seconds.
+/// Number of truths of a pair that are kept, for a few seconds.
 const KEPT_TRUTHS: usize = 256;
-/// Claims that wait for the truth after them.
+/// Largest number of claims that wait for a later truth.
 const WAITING_CLAIMS: usize = 4096;
-/// Nothing is known of the time between exposures that are farther apart than this.
+/// Largest gap between exposures that is interpolated.
 const LONGEST_GAP_NS: i64 = 500_000_000;
-/// Where a drone has another one.
+/// A drone's estimate of another drone's pose.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Claim {
-    /// The drone whose claim it is.
+    /// The drone that makes the claim.
     pub from: String,
     /// The other drone.
     pub to: String,
-    /// The instant that it holds for, CLOCK_MONOTONIC, nanoseconds.
+    /// The instant of the pose, CLOCK_MONOTONIC, nanoseconds.
     pub at_ns: i64,
-    /// How it is known.
+    /// The way in which the pose is known.
     pub way: SwarmWay,
     /// The pose of `to` in the frame of `from`.
     pub pose: UncertainPose,
-    /// The pose by the sightings of `from` alone, where it has any.
+    /// The pose from the sightings of `from` alone, if there are any.
     pub alone: Option<UncertainPose>,
 }
 
-/// How far a claim is from the truth.
+/// The error of a claim.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct ClaimError {
     position_m: f64,
     rotation_rad: f64,
-    /// Squared, in units of what was stated; 6 on average where that is right.
+    /// Normalised squared error of the pose; 6 on average for a correct covariance.
     normalized: f64,
 }
 
@@ -54,20 +55,22 @@ pub(crate) struct ClaimScore {
     truths: BTreeMap<Pair, VecDeque<(i64, Isometry3<f64>)>>,
     waiting: VecDeque<Claim>,
     errors: BTreeMap<SwarmWay, Vec<ClaimError>>,
-    /// Errors of poses that are known mutually and alone: mutual, then alone.
+    /// Errors of poses that are known in both ways: mutual, then alone.
     both: [Vec<ClaimError>; 2],
-    /// When each drone's newest frames were exposed.
+    /// Exposures of each drone's newest frames.
     exposures: BTreeMap<String, BTreeMap<u64, i64>>,
-    /// Errors of what others believe of that: milliseconds, and in units of the stated deviation.
+    /// Errors of other drones' estimates of these exposures: milliseconds, and in stated
+    /// deviations.
     clock_errors: Vec<[f64; 2]>,
-    /// When fusion sent a pose of each drone's newest frames first, and when others had it.
+    /// For each drone's newest frames: time of the first pose from fusion, and times of arrival at
+    /// other drones.
     reports: BTreeMap<(String, u64), (Option<i64>, Vec<i64>)>,
-    /// How long reports were under way between the drones' programs, milliseconds.
+    /// Latencies of reports between the drones' programs, milliseconds.
     took_ms: Vec<f64>,
 }
 
 impl ClaimScore {
-    /// Takes where `to` truly is in the frame of `from` at an exposure, CLOCK_MONOTONIC,
+    /// Takes the true pose of `to` in the frame of `from` at an exposure, CLOCK_MONOTONIC,
     /// nanoseconds.
     pub(crate) fn truth(&mut self, from: &str, to: &str, at_ns: i64, from_from_to: Isometry3<f64>) {
         let truths = self.truths.entry((from.to_owned(), to.to_owned())).or_default();
@@ -77,7 +80,7 @@ impl ClaimScore {
         }
     }
 
-    /// Takes when a drone's frame was exposed, CLOCK_MONOTONIC, nanoseconds.
+    /// Takes the exposure of a drone's frame, CLOCK_MONOTONIC, nanoseconds.
     pub(crate) fn exposed(&mut self, drone: &str, frame: u64, at_ns: i64) {
         let exposures = self.exposures.entry(drone.to_owned()).or_default();
         exposures.insert(frame, at_ns);
@@ -86,7 +89,7 @@ impl ClaimScore {
         }
     }
 
-    /// Takes when another drone believes that a frame was exposed, and with which deviation.
+    /// Takes another drone's estimate of a frame's exposure, with its deviation.
     pub(crate) fn timed(&mut self, drone: &str, frame: u64, at_ns: i64, deviation_ns: i64) {
         let exposures = self.exposures.get(drone);
         if let Some(true_ns) = exposures.and_then(|exposures| exposures.get(&frame)) {
@@ -95,19 +98,19 @@ impl ClaimScore {
         }
     }
 
-    /// Takes when a drone's fusion sent a pose of a frame, CLOCK_MONOTONIC, nanoseconds.
+    /// Takes the time when a drone's fusion sent a pose of a frame, CLOCK_MONOTONIC, nanoseconds.
     pub(crate) fn sent(&mut self, drone: &str, frame: u64, sent_ns: i64) {
         self.report_of(drone, frame).0.get_or_insert(sent_ns);
         self.settle_report(drone, frame);
     }
 
-    /// Takes when another drone had it, CLOCK_MONOTONIC, nanoseconds.
+    /// Takes the time when that pose arrived at another drone, CLOCK_MONOTONIC, nanoseconds.
     pub(crate) fn arrived(&mut self, drone: &str, frame: u64, arrived_ns: i64) {
         self.report_of(drone, frame).1.push(arrived_ns);
         self.settle_report(drone, frame);
     }
 
-    /// Takes a claim, to be compared when the truth after it is there.
+    /// Takes a claim. It is compared when a later truth is known.
     pub(crate) fn claim(&mut self, claim: Claim) {
         self.waiting.push_back(claim);
         if self.waiting.len() > WAITING_CLAIMS {
@@ -115,7 +118,7 @@ impl ClaimScore {
         }
     }
 
-    /// Compares the claims whose truth is there.
+    /// Compares the claims whose truth is known.
     pub(crate) fn settle(&mut self) {
         for claim in std::mem::take(&mut self.waiting) {
             let pair = (claim.from.clone(), claim.to.clone());
@@ -137,7 +140,7 @@ impl ClaimScore {
         }
     }
 
-    /// What came out.
+    /// The report of all comparisons.
     pub(crate) fn report(&self) -> SwarmReport {
         let ways = self.errors.iter();
         let [mutual, alone] = self.both.each_ref().map(|errors| PoseFigures::of(errors));
@@ -181,7 +184,7 @@ fn median_and_most(values: impl Iterator<Item = f64>) -> Option<[f64; 2]> {
     Some([median(&rising)?, quantile(&rising, 0.95)?])
 }
 
-/// The truth at an instant, from those before and after it.
+/// The truth at an instant, interpolated between the neighbouring ones.
 fn truth_at(truths: &VecDeque<(i64, Isometry3<f64>)>, at_ns: i64) -> Option<Isometry3<f64>> {
     let after = truths.partition_point(|(ns, _)| *ns < at_ns);
     let (after_ns, later) = truths.get(after)?;
@@ -191,7 +194,7 @@ fn truth_at(truths: &VecDeque<(i64, Isometry3<f64>)>, at_ns: i64) -> Option<Isom
     let (before_ns, earlier) = truths.get(after.checked_sub(1)?)?;
     let gap_ns = after_ns - before_ns;
     let share = (at_ns - before_ns) as f64 / gap_ns as f64;
-    // Opposite rotations have no way between them; no drone turns so fast.
+    // Opposite rotations cannot be interpolated, but no drone turns so fast.
     (gap_ns <= LONGEST_GAP_NS).then(|| earlier.try_lerp_slerp(later, share, 1e-9)).flatten()
 }
 
@@ -207,18 +210,18 @@ impl ClaimError {
     }
 }
 
-/// PoseFigures of many poses.
+/// Error statistics of many poses.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub(crate) struct PoseFigures {
-    /// How many.
+    /// Number of poses.
     pub poses: usize,
     /// Median and 95 % of the distance from the true position, millimetres.
     pub position_mm: [f64; 2],
     /// Median and 95 % of the angle to the true rotation, degrees.
     pub rotation_deg: [f64; 2],
-    /// Mean of the squared errors in units of what was stated: 6 where that is right.
+    /// Mean of the normalised squared errors; 6 for correct covariances.
     pub normalized: f64,
-    /// Share of poses whose error is one of the 95 % that are to be expected.
+    /// Share of poses within the 95 % bound of their covariance.
     pub share_within_95: f64,
 }
 
@@ -237,32 +240,33 @@ impl PoseFigures {
     }
 }
 
-/// What two that see each other have of it, of the same pairs at the same instants.
+/// Errors of pairs that see each other, with and without the other drone's sightings, at the same
+/// instants.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub(crate) struct Gain {
-    /// By both drones' sightings.
+    /// Errors with both drones' sightings.
     pub mutual: PoseFigures,
-    /// By the observer's own alone.
+    /// Errors with the observer's own sightings alone.
     pub alone: PoseFigures,
 }
 
-/// How well drones know when others' frames were exposed.
+/// Errors of the drones' estimates of others' exposures.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub(crate) struct ClockFigures {
     /// Median and 95 % of the error, milliseconds.
     pub error_ms: [f64; 2],
-    /// Median and 95 % of the error in units of the deviation that was given.
+    /// Median and 95 % of the error in stated deviations.
     pub deviations: [f64; 2],
 }
 
-/// What came out.
+/// The report of all comparisons.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub(crate) struct SwarmReport {
-    /// By how the poses came about.
+    /// Errors by the way in which the poses are known.
     pub ways: BTreeMap<String, PoseFigures>,
-    /// What is gained by looking from both sides.
+    /// The gain from sightings of both sides.
     pub mutual: Option<Gain>,
-    /// How well the drones know each other's clocks.
+    /// Errors of the estimated exposures.
     pub clocks: Option<ClockFigures>,
     /// Median and 95 % of the time from a drone's topic `track` until another drone's gateway has
     /// the pose, milliseconds.

@@ -1,5 +1,4 @@
-//! Reads what the pipelines of a swarm report of each other, and what is true, in a thread for
-//! each.
+//! Receives reports and truth from the pipelines of a swarm, with a thread for each pipeline.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -7,7 +6,7 @@ use std::sync::mpsc::Sender;
 use std::thread::JoinHandle;
 use std::time::Duration;
 
-use flockeye_cli::running::{Attached, PipelineChoice, attach};
+use flockeye_cli::running::{PipelineChoice, attach};
 use flockeye_contract::{Peers, Rotations, SwarmPose, SwarmWay, Swarms, Tracks, Truths};
 use flockeye_convert::{camera_turn, isometry, matrix6};
 use flockeye_peer::{PeerReport, SwarmView, UncertainPose};
@@ -17,13 +16,13 @@ use nalgebra::{Isometry3, UnitQuaternion};
 
 use super::score::Claim;
 
-/// How often it is looked whether a pipeline runs, and whether messages have come.
+/// Interval of the checks whether a pipeline runs and whether messages have arrived.
 const POLL: Duration = Duration::from_millis(50);
 
 /// An event in a drone's pipeline.
 #[derive(Debug)]
 pub(crate) enum SwarmEvent {
-    /// Where the others truly are.
+    /// The true poses of the other drones.
     Truth {
         /// The drone.
         from: String,
@@ -31,10 +30,10 @@ pub(crate) enum SwarmEvent {
         frame: u64,
         /// The exposure, CLOCK_MONOTONIC, nanoseconds.
         at_ns: i64,
-        /// The others, in its frame.
+        /// The other drones' poses in its frame.
         others: Vec<(String, Isometry3<f64>)>,
     },
-    /// Its fusion has sent where others are.
+    /// Its fusion has sent poses.
     PoseSent {
         /// The drone.
         from: String,
@@ -49,24 +48,24 @@ pub(crate) enum SwarmEvent {
         observer: String,
         /// The frame's number.
         frame: u64,
-        /// When the report came in, CLOCK_MONOTONIC, nanoseconds.
+        /// Arrival of the report, CLOCK_MONOTONIC, nanoseconds.
         arrived_ns: i64,
         /// The exposure, CLOCK_MONOTONIC, nanoseconds.
         exposure_ns: i64,
-        /// The deviation that it gives, nanoseconds.
+        /// Stated standard deviation of the exposure, nanoseconds.
         deviation_ns: i64,
     },
-    /// Where it has the others.
+    /// Its claims about the other drones.
     Places {
         /// The drone.
         from: String,
-        /// One for each that it has.
+        /// A claim for each known drone.
         claims: Vec<Claim>,
     },
 }
 
-/// Reads the pipeline of the drone `name` in a thread, as soon as it runs, until `stopping` is
-/// raised or nobody listens.
+/// Starts a thread that reads the pipeline of the drone `name` once it runs. It ends when
+/// `stopping` is set or the receiver is dropped.
 pub(crate) fn watch(
     instance: Instance,
     name: String,
@@ -80,7 +79,7 @@ pub(crate) fn watch(
             if stopping.load(Ordering::Relaxed) {
                 return Ok(());
             }
-            // Its topics are made after its name is taken.
+            // The topics are created later than the instance, so opening is tried again.
             match instance.is_running().then(|| PipelineReader::open(&choice)) {
                 Some(Ok(reader)) => break reader,
                 Some(Err(_)) | None => std::thread::sleep(POLL),
@@ -90,7 +89,7 @@ pub(crate) fn watch(
     })
 }
 
-/// Reads the topics of a pipeline.
+/// The subscribers of a pipeline.
 struct PipelineReader {
     observer_from_camera: UnitQuaternion<f64>,
     truths: Subscriber<Truths>,
@@ -98,13 +97,13 @@ struct PipelineReader {
     tracks: Subscriber<Tracks>,
     peers: Subscriber<Peers>,
     swarms: Subscriber<Swarms>,
-    // Ports go after the subscribers.
+    // Ports are dropped after the subscribers.
     ports: Ports,
 }
 
 impl PipelineReader {
     fn open(choice: &PipelineChoice) -> anyhow::Result<Self> {
-        let Attached { mut ports, resolved, .. } = attach(choice)?;
+        let (_, resolved, mut ports) = attach(choice)?;
         Ok(Self {
             observer_from_camera: resolved.observer_from_camera.rotation,
             truths: ports.subscriber()?,
@@ -186,7 +185,7 @@ impl PipelineReader {
     }
 }
 
-/// Where a drone has all others at an instant, and where it would have them without their reports.
+/// A drone's claims about all others at an instant, with and without their reports.
 fn claims(from: &str, at_ns: i64, poses: &[SwarmPose], alone: &mut SwarmView) -> Vec<Claim> {
     let own = alone.places(at_ns);
     let claim = |place: &SwarmPose| {

@@ -9,17 +9,17 @@ use crate::align::patch::Patch;
 
 /// Blur of the canonical picture, standard deviation, cells.
 pub(super) const BLUR_CELLS: f64 = 0.85;
-/// The body's middle is looked for so many cells to each side of the place.
+/// Largest distance of the body's middle from the place along each axis, cells.
 pub(super) const REACH_CELLS: usize = 11;
-/// Ranges from the stated one, as powers of this. The coarse grid has every second power.
+/// Ratio of neighbouring ranges. The coarse grid has every second power of it.
 const RANGE_STEP: f64 = 1.075;
 /// Exponents of the nearest and the farthest range of the coarse grid. Markers at an angle make a
-/// place seem farther away, the box round one on its corner makes it seem nearer.
+/// place appear farther away. The box around a marker on its corner makes it appear nearer.
 pub(super) const RANGE_EXPONENTS: (i32, i32) = (-6, 6);
 /// Turns about the line of sight on the fine grid.
 pub(super) const TURNS: usize = 48;
 
-/// A pose of the grid, with how well the picture agrees.
+/// A pose of the grid, with its score.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct GridPose {
     pub template: usize,
@@ -51,7 +51,7 @@ impl Canvas {
     }
 }
 
-/// How large canonical pictures are, and of what.
+/// Size and scale of canonical pictures.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Size {
     /// Pixels along a side; even, so that a row has as many even columns as odd ones.
@@ -62,7 +62,7 @@ pub(super) struct Size {
 }
 
 impl Size {
-    /// For a body of so many cells from its middle to its rim.
+    /// Size for a body with this many cells from its middle to its rim.
     pub fn of(radius: usize, cell_m: f64) -> Self {
         Self { side: 2 * (radius + REACH_CELLS + 1), radius, cell_m }
     }
@@ -110,12 +110,12 @@ impl<'p> Canvases<'p> {
         self.range_m * RANGE_STEP.powi(exponent)
     }
 
-    /// Pixels of the patch for each of the canonical picture.
+    /// Pixels of the patch per pixel of the canonical picture.
     fn cell_px(&self, exponent: i32) -> f64 {
         self.size.cell_m / self.range_m(exponent) * self.patch.pinhole.focal_px
     }
 
-    /// The point of the patch that a canonical picture shows at `at`.
+    /// Point of the patch for the point `at` of a canonical picture.
     fn in_patch(&self, turn: usize, exponent: i32, at: Vector2<f64>) -> Vector2<f64> {
         let (sin, cos) = turn_rad(turn).sin_cos();
         let off = (at.add_scalar(-self.middle())) * self.cell_px(exponent);
@@ -179,9 +179,9 @@ fn turn_rad(turn: usize) -> f64 {
     turn as f64 / TURNS as f64 * TAU
 }
 
-/// The rotation that leads from the z axis to `sight` by the shortest way.
+/// The rotation from the z axis to `sight` by the shortest way.
 fn lean(sight: &Vector3<f64>) -> UnitQuaternion<f64> {
-    // A patch looks ahead, so its pixels never look backwards.
+    // A patch is ahead, so its pixels never have directions backwards.
     UnitQuaternion::rotation_between(&Vector3::z(), sight).unwrap_or_default()
 }
 

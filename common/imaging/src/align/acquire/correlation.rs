@@ -1,19 +1,19 @@
-//! How well a template agrees with a canonical picture at each shift.
+//! Agreement of a template with a canonical picture at each shift.
 //!
-//! Facet by facet, the pattern is correlated with the radiance: light and noise of a facet may be
-//! any. The score is the log of a likelihood ratio, as the evidence's, but for the factor that
-//! makes values independent.
+//! The pattern is correlated with the radiance facet by facet, for any light and noise of a facet.
+//! The score is the log of a likelihood ratio, like the evidence, without the factor for dependent
+//! values.
 
 use super::canvas::{Canvas, REACH_CELLS};
 use super::templates::{Template, TemplatePixel};
 
-/// Every second shift along an axis.
+/// Number of tested shifts along an axis: every second one.
 const COARSE: usize = REACH_CELLS + 1;
-/// A fine shift is next to a coarse one, along each axis.
+/// Number of fine shifts along each axis, next to a coarse one.
 const FINE: usize = 3;
-/// Squared correlations count as this at most: a facet with three samples may agree perfectly.
+/// Largest squared correlation that counts: a facet with three samples may fit perfectly.
 const MOST: f32 = 0.98;
-/// Added to sums of squares, so that black does not divide by zero.
+/// Added to sums of squares, to avoid a division by zero for black.
 const TINY: f32 = 1e-9;
 
 /// The best of every second shift, and its score.
@@ -99,7 +99,7 @@ fn rate_any<'c, const N: usize>(
         let share = 1.0 / range.len() as f32;
         for k in 0..N {
             let left = squares[k] - sum[k] * sum[k] * share;
-            // A pattern with black and white exchanged does not agree.
+            // A pattern with black and white exchanged does not match.
             let agreement = agreement[k].max(0.0);
             let explained = (agreement * agreement / (left + TINY)).min(MOST);
             scores[k] += weight * minus_ln_1p_minus(explained);
@@ -108,8 +108,8 @@ fn rate_any<'c, const N: usize>(
     scores
 }
 
-/// -ln(1 - x), within 5 % for x up to 0.7. Beyond it is less: so much agreement comes by chance on
-/// a few samples.
+/// -ln(1 - x), within 5 % for x up to 0.7. Beyond, it is less, because such a correlation occurs by
+/// chance on a few samples.
 #[inline(always)]
 fn minus_ln_1p_minus(x: f32) -> f32 {
     x * (1.0 + x * (0.5 + 0.6 * x))

@@ -1,15 +1,15 @@
-//! Where alignment may start for a body of which only a rough place is known.
+//! Start poses of an alignment for a body with a rough place.
 //!
-//! Far away, in the dark or in glare no marker is found, but people still see a body with a
-//! pattern. This search sees it too: it compares the picture with the body in all attitudes
-//! ([`templates`]). It works in a *canonical picture* of one pixel for each cell of the body's
-//! smallest marker, with more blur than a lens leaves there. So the usual body is 23 pixels across,
-//! whatever its distance, and none is more than 32.
+//! Far away, in the dark or in glare no marker is found, though a body with a pattern is visible.
+//! This search compares the picture with the body in all attitudes ([`templates`]). It works in a
+//! *canonical picture* of one pixel for each cell of the body's smallest marker, with more blur
+//! than a lens leaves there. So the usual body is 23 pixels across, whatever its distance, and none
+//! is more than 32.
 //!
 //! 1. Coarse: each attitude, turn about the line of sight, range and second pixel ([`coarse`]).
 //! 2. Fine: the best of these again at half the steps ([`fine`]).
-//! 3. The best that differ are the starts, best first. Which of them leads to the body is for
-//!    alignment and its evidence to say.
+//! 3. The best that differ are the starts, best first. The choice between them is left to alignment
+//!    and its evidence.
 
 mod canvas;
 mod correlation;
@@ -22,27 +22,28 @@ use canvas::{Canvases, GridPose, RANGE_EXPONENTS, TURNS};
 use templates::Template;
 pub use templates::Templates;
 
-/// Coarse cells that are looked at again.
+/// Number of coarse cells that are refined.
 const KEPT: usize = 1500;
-/// Starts of each kind of template.
+/// Number of starts for each kind of template.
 const STARTS: usize = 8;
-/// Starts that differ by less are one: radians, and cells across the line of sight.
+/// Differences below which two starts are the same: radians, and cells across the line of sight.
 const SAME_RAD: f64 = 0.3;
 const SAME_CELLS: f64 = 2.5;
-/// Overexposed templates are tried where more than this share of the patch is saturated.
+/// Share of saturated pixels of the patch above which overexposed templates are tried.
 const SATURATED_SHARE: f64 = 0.02;
 
 /// A place where a body may be.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Place {
-    /// Where its middle is, in the camera frame, within two thirds of a body's radius; unit length.
+    /// Direction of its middle, in the camera frame, within two thirds of a body's radius; unit
+    /// length.
     pub direction_in_camera: Vector3<f64>,
-    /// How far away it is, metres, within a third.
+    /// Distance, metres, within a third.
     pub range_m: f64,
 }
 
-/// Poses (`patch_from_markers`) to start from, the likeliest of each kind of template first.
-/// `middle` is the place's direction in the patch, `lens_px` the lens's blur in it.
+/// Start poses (`patch_from_markers`), the likeliest of each kind of template first. `middle` is
+/// the place's direction in the patch, `lens_px` the lens's blur in it.
 pub(super) fn starts(
     templates: &Templates,
     patch: &Patch,
@@ -121,7 +122,7 @@ fn fine(templates: &[Template], canvases: &mut Canvases<'_>, coarse: &GridPose) 
     best
 }
 
-/// Whether two starts are too near to each other to lead to different poses.
+/// Whether two starts are too close to lead to different poses.
 fn is_same(one: &Isometry3<f64>, other: &Isometry3<f64>, cell_m: f64) -> bool {
     let (here, there) = (one.translation.vector, other.translation.vector);
     let apart_rad = (here.normalize() - there.normalize()).norm();

@@ -1,4 +1,4 @@
-//! The body in all attitudes, as it looks from far away.
+//! Templates of the body in all attitudes, as seen from far away.
 
 use std::ops::Range;
 
@@ -11,43 +11,43 @@ use crate::align::pinhole::Pinhole;
 use crate::align::print::BodyPrint;
 use crate::align::state::{BLACK_SHARE_PRIOR, Prior, State};
 
-/// Directions from which the body is modelled: 13 degrees apart.
+/// Number of directions from which the body is modelled: 13 degrees apart.
 const DIRECTIONS: usize = 240;
-/// Range at which a body is modelled, metres. Nearer and farther it looks nearly the same.
+/// Range at which a body is modelled, metres. At other ranges it looks nearly the same.
 const RANGE_M: f64 = 3.0;
-/// Cells from the middle of a body to its rim, at most. One with more of them is searched with
-/// coarser pixels, because time and memory grow with their fourth power.
+/// Most cells from the middle of a body to its rim. A larger body is searched with coarser pixels,
+/// because time and memory grow with their fourth power.
 const MAX_RADIUS_CELLS: f64 = 16.0;
-/// Pixels of which the body covers less show too much of the background.
+/// Least coverage of a pixel by the body: below, too much of the background shows.
 const MIN_COVERED: f32 = 0.85;
-/// Samples of a template, about: more cost time and find hardly more.
+/// Approximate number of samples of a template: more cost time and improve little.
 const SAMPLES: usize = 130;
-/// A facet with fewer says nothing.
+/// Least samples of a facet: fewer contain too little information.
 const MIN_FACET_SAMPLES: usize = 3;
 /// Least standard deviation of a facet's pattern; white is 1.
 const MIN_PATTERN: f32 = 0.05;
-/// White of an overexposed template: so many times what saturates the sensor. Bodies that are
-/// overexposed by 3 stops were found best with 2.5, of 1.5, 2.5 and 4.
+/// White of an overexposed template, as a multiple of the sensor's saturation. Bodies overexposed
+/// by 3 stops were found best with 2.5, of 1.5, 2.5 and 4.
 const OVEREXPOSED: f32 = 2.5;
 /// Blur before the sensor saturates, cells: that of the lens on a body at 2 to 3 m.
 const LENS_BLUR_CELLS: f64 = 0.6;
 
-/// What the pictures of places are compared with.
+/// Templates for the comparison with pictures of places.
 #[derive(Debug, Clone)]
 pub struct Templates {
     pub(super) plain: Vec<Template>,
     pub(super) overexposed: Vec<Template>,
-    /// How large canonical pictures are.
+    /// Size of the canonical pictures.
     pub(super) size: Size,
 }
 
-/// The body in one attitude, as it looks along the line of sight.
+/// The body in one attitude, as seen along the line of sight.
 #[derive(Debug, Clone)]
 pub(super) struct Template {
     /// The attitude, in a frame whose z axis is the line of sight.
     pub sight_from_markers: UnitQuaternion<f64>,
     pub samples: Vec<TemplatePixel>,
-    /// The samples of each facet, which are weighted by the pixels that they stand for.
+    /// Samples of each facet, weighted by the number of pixels that each represents.
     pub facets: Vec<(Range<usize>, f32)>,
 }
 
@@ -79,11 +79,11 @@ impl Templates {
 }
 
 impl Template {
-    /// The body seen from `direction` (in its markers' frame), its white at `white` times what
-    /// saturates. `None` where no pattern shows.
+    /// The body seen from `direction` (in its markers' frame), with its white at `white` times the
+    /// saturation. `None` where no pattern is visible.
     fn new(print: &BodyPrint, direction: &Vector3<f64>, size: &Size, white: f32) -> Option<Self> {
         let about_x = || UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI);
-        // The camera looks along +z at what faces it.
+        // The camera looks along +z at the facets that face it.
         let sight_from_markers =
             UnitQuaternion::rotation_between(direction, &-Vector3::z()).unwrap_or_else(about_x);
         let (radiance, covering) = pixels(print, &sight_from_markers, size, white);
@@ -149,14 +149,14 @@ fn pixels(
         facets.push((covered >= MIN_COVERED).then_some(most.1));
     }
     if saturates {
-        // The sensor saturates between the lens's blur and that of the search.
+        // The sensor saturates after the lens's blur and before that of the search.
         let missing = (BLUR_CELLS.powi(2) - LENS_BLUR_CELLS.powi(2)).sqrt();
         radiance = smoothed(&radiance, side, side, missing);
     }
     (radiance, facets)
 }
 
-/// Directions that lie evenly on the sphere: a Fibonacci lattice.
+/// Evenly distributed directions on the sphere: a Fibonacci lattice.
 pub(super) fn directions(count: usize) -> impl Iterator<Item = Vector3<f64>> {
     let golden_rad = std::f64::consts::PI * (3.0 - 5f64.sqrt());
     (0..count).map(move |k| {

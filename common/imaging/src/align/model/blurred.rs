@@ -14,9 +14,9 @@
 //! depending on r. The edges of the outline are straight, so each is F(distance / standard
 //! deviation across the edge) for any covariance. Where two edges meet, their product is taken.
 //!
-//! A body that moves during the exposure is also blurred evenly along its path: a path as long as
-//! two cells leaves nothing of them, a longer one turns black into white. So the facet is modelled
-//! a little before and a little after ([`PATH_OFFSET`]), and the mean is taken.
+//! A body that moves during the exposure is also blurred evenly along its path. A path as long as
+//! two cells cancels them, and a longer one turns black into white. So the model is the mean of the
+//! facet shortly before and after the middle ([`PATH_OFFSET`]).
 
 use nalgebra::{Matrix2, Vector2};
 
@@ -54,10 +54,10 @@ struct BlurredCells<'p> {
 
 #[derive(Clone)]
 struct OutlineEdge {
-    /// Depth inside the edge is `normal . at + offset`, standard deviations of all blur.
+    /// Depth inside the edge is `normal . at + offset`, standard deviations of the whole blur.
     normal: Vector2<f32>,
     offset: f32,
-    /// Standard deviation of all blur together, in those of the Gaussian alone.
+    /// Standard deviation of the whole blur, relative to the Gaussian alone.
     steepness: f32,
     /// Additional depth at the one end of the path, standard deviations of the Gaussian.
     shift: f32,
@@ -87,8 +87,8 @@ impl CellWeights {
 }
 
 impl<'p> BlurredFacet<'p> {
-    /// `covariance` is that of the Gaussian in the facet's plane, metres squared, `path` how far
-    /// the body moves there during the exposure, metres.
+    /// Creates the blurred facet. `covariance` is that of the Gaussian in the facet's plane, metres
+    /// squared. `path` is the body's motion there during the exposure, metres.
     pub fn new(facet: &'p PrintedFacet, covariance: &Matrix2<f64>, path: &Vector2<f64>) -> Self {
         let aside = path * PATH_OFFSET;
         let cells = facet.cells.as_ref().map(|cells| BlurredCells::new(cells, covariance, &aside));
@@ -244,7 +244,7 @@ impl<'p> BlurredFacet<'p> {
 
     /// Computes the weights of cells along an axis for a point, in cells from the square's edge.
     ///
-    /// They are written in place, because moving them would take longer than computing them.
+    /// They are written in place, because a move would take longer than the computation.
     #[inline(always)]
     fn weigh(&self, weights: &mut CellWeights, at: f32, sigma: f32, count: usize) {
         weights.count = 0;

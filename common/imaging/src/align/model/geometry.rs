@@ -1,4 +1,4 @@
-//! Where a patch sees the facets of a body, and how that changes with the pose.
+//! The facets of a body in a patch, and their derivatives by the pose.
 
 use nalgebra::{Isometry3, Matrix2, Matrix3, Point2, Vector2, Vector3};
 
@@ -6,7 +6,7 @@ use crate::align::pinhole::Pinhole;
 use crate::align::print::{BodyPrint, PrintedFacet};
 
 /// A facet is drawn if the cosine of its angle of incidence is at least this. A facet seen more
-/// edge-on is too narrow to be read; its edges count as silhouette.
+/// edge-on is too narrow to read; its edges count as silhouette.
 const MIN_COSINE: f64 = 0.17;
 
 /// A facet that faces the camera, at one pose.
@@ -28,7 +28,7 @@ pub(in crate::align) struct VisibleFacet {
     pub outline_px: Vec<Vector2<f64>>,
 }
 
-/// How the facet's point under a fixed pixel moves with the pose.
+/// Motion of the facet's point under a fixed pixel with the pose.
 #[derive(Debug, Clone, Copy)]
 pub(in crate::align) struct PointFlow {
     /// The point of the plane under the pixel, in the facet's frame, metres.
@@ -85,7 +85,7 @@ impl VisibleFacet {
         Vector2::new(self.x.dot(&from_origin), self.y.dot(&from_origin))
     }
 
-    /// The point in this `direction`, and how it moves with the pose.
+    /// The point in this `direction`, and its derivative by the pose.
     ///
     /// When the body moves by d, its point leaves the pixel. The point that takes its place lies at
     /// l e - d from it, with e the direction of the pixel and l such that it lies in the plane.
@@ -102,7 +102,7 @@ impl VisibleFacet {
         }
     }
 
-    /// Homography from pixels to the facet's plane, to find the pixels that it covers.
+    /// Homography from pixels to the facet's plane, used to find the covered pixels.
     pub fn plane_from_pixel(&self, pinhole: &Pinhole) -> Matrix3<f64> {
         let (f, c) = (pinhole.focal_px, pinhole.centre_px);
         let camera_from_pixel =

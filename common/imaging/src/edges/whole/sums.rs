@@ -24,7 +24,7 @@ pub(super) struct RobustSums {
     pub(super) gradient: Unknowns,
     /// Absolute residuals.
     pub(super) sizes: Vec<f64>,
-    /// Where they are in the grid.
+    /// Places of the residuals in the grid.
     pub(super) places: Vec<usize>,
     /// Sum of the squares of the weighted residuals, and sums of their products with the one to the
     /// left and the one above.
@@ -94,7 +94,7 @@ impl RobustSums {
 fn add_product(triangle: &mut Triangle, values: &[f64; ROOM], last: usize, factor: f64) {
     for (k, column) in triangle.iter_mut().enumerate().take(last) {
         let scaled = factor * values[k];
-        // In multiples of four, even if that goes beyond the diagonal.
+        // In multiples of four, even beyond the diagonal.
         let end = (k | 3) + 1;
         for (sum, value) in column[..end].iter_mut().zip(&values[..end]) {
             *sum += scaled * value;

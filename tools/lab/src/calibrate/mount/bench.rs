@@ -1,4 +1,4 @@
-//! The file of places, and what the camera saw at each.
+//! The file of places, and the measured pose at each place.
 
 use std::collections::BTreeSet;
 
@@ -48,11 +48,11 @@ pub(super) struct BenchPlace {
 }
 
 impl MeasuringBench {
-    /// Refuses what no schema can.
+    /// Refuses errors that the schema cannot express.
     ///
     /// # Errors
-    /// Frames for some places only or the wrong way round, orientations that are none or have no
-    /// deviation.
+    /// Frames are given for some places only or in the wrong order, or an orientation is invalid or
+    /// has no deviation.
     pub(super) fn check(&self) -> anyhow::Result<()> {
         let with_frames = self.places.iter().filter(|place| place.frames.is_some()).count();
         ensure!(
@@ -83,7 +83,7 @@ impl MeasuringBench {
     /// The body's name: the one in the file, or the only one that has poses.
     ///
     /// # Errors
-    /// None or several have poses, or the named one has none.
+    /// No body or several bodies have poses, or the named body has none.
     pub(super) fn body(&self, rows: &[PoseRow]) -> anyhow::Result<String> {
         let seen: BTreeSet<&str> = rows.iter().map(|row| row.target.as_str()).collect();
         match (&self.body, Vec::from_iter(&seen).as_slice()) {
@@ -97,8 +97,8 @@ impl MeasuringBench {
         }
     }
 
-    /// What the camera saw at each place; `None` where it saw nothing of the body. `configured` is
-    /// the mount that the poses were recorded with.
+    /// The measured pose at each place; `None` if the body has no pose there. `configured` is the
+    /// mount with which the poses were recorded.
     pub(super) fn see(
         &self,
         rows: &[PoseRow],
@@ -127,7 +127,8 @@ impl MeasuringBench {
     }
 }
 
-/// The frame's own measurement as the camera sees it, whatever mount is configured.
+/// The frame's own measurement as a pose in the camera frame, which does not depend on the
+/// configured mount.
 fn in_camera(
     row: &PoseRow,
     configured: &Isometry3<f64>,

@@ -9,7 +9,7 @@ use crate::calibration::weighted_ray::{
     ROBUST_SCALE, WeightedRay, by_motion, damped, moved, spread, weighted_share,
 };
 
-/// Frames whose rays are off by so many times as much as those of all frames have a wrong pose.
+/// A frame has a wrong pose if its ray errors exceed those of all frames by this factor.
 const MISFIT: f64 = 4.0;
 
 /// A marker as one lens sees it.
@@ -25,14 +25,14 @@ pub(super) type SeamFrame = BundleFrame<LensSighting>;
 /// A block and a gradient of the lenses, and a joint block for each frame.
 type LensEquations = Equations<(DMatrix<f64>, DVector<f64>), DMatrix<f64>>;
 
-/// Everything that is adjusted together.
+/// The unknowns of the adjustment: the lenses and the poses of all frames.
 pub(super) struct Adjustment {
     pub frames: Vec<SeamFrame>,
-    /// Where the lenses are, in the camera's axes, metres.
+    /// Positions of the lenses in the camera's axes, metres.
     pub positions: [Vector3<f64>; 2],
-    /// How the second is turned against what was configured.
+    /// Rotation of the second lens from its configured orientation.
     pub second_turn: UnitQuaternion<f64>,
-    /// How each lens moves with the unknowns: shift, then turn, in the camera's axes.
+    /// Derivatives of each lens' shift, then turn, by the unknowns, in the camera's axes.
     motions: [DMatrix<f64>; 2],
     /// Scale of the robust cost, in stated deviations.
     scale: f64,
@@ -42,7 +42,8 @@ pub(super) struct Adjustment {
 type Steps = (DVector<f64>, Vec<Vector6<f64>>);
 
 impl Adjustment {
-    /// Unknown is the distance of the lenses along the camera's x axis. The middle stays.
+    /// An adjustment of the distance between the lenses along the camera's x axis. Their middle is
+    /// fixed.
     pub(super) fn of_distance(positions: [Vector3<f64>; 2], frames: Vec<SeamFrame>) -> Self {
         let motions = [0.5, -0.5].map(|share| {
             let mut motion = DMatrix::zeros(6, 1);
@@ -52,7 +53,7 @@ impl Adjustment {
         Self::new(positions, motions, frames)
     }
 
-    /// Unknown are shift and turn of the second lens. The first stays.
+    /// An adjustment of shift and turn of the second lens. The first is fixed.
     pub(super) fn of_second_lens(positions: [Vector3<f64>; 2], frames: Vec<SeamFrame>) -> Self {
         Self::new(positions, [DMatrix::zeros(6, 6), DMatrix::identity(6, 6)], frames)
     }
@@ -70,8 +71,7 @@ impl Adjustment {
         if lens == 1 { self.second_turn } else { UnitQuaternion::identity() }
     }
 
-    /// Adjusts the frames' poses alone, and gives the errors that remain then, in stated
-    /// deviations.
+    /// Adjusts only the frames' poses, and returns the remaining errors in stated deviations.
     pub(super) fn scatter_as_configured(&mut self) -> f64 {
         let motions = std::mem::replace(&mut self.motions, [0, 1].map(|_| DMatrix::zeros(6, 0)));
         self.adjust();
@@ -81,8 +81,8 @@ impl Adjustment {
         scatter.unwrap_or(f64::INFINITY)
     }
 
-    /// Errors of all rays to their body points as seen from their lenses, each with its lens, in
-    /// the axes that its rays are given in.
+    /// Errors of all rays to their body points, seen from their lenses. Each has the index of its
+    /// lens.
     fn errors_of(&self, frame: &SeamFrame) -> impl Iterator<Item = (usize, Vector2<f64>)> {
         frame.sightings.iter().flat_map(move |seen| {
             let from_camera = self.turn(seen.lens).inverse();
@@ -95,8 +95,8 @@ impl Adjustment {
         })
     }
 
-    /// Leaves out frames in which the rays of either lens are off by far more than all rays are,
-    /// and says how many: their pose is a wrong one.
+    /// Drops frames with a wrong pose: the ray errors of one lens are far larger than usual.
+    /// Returns the number of dropped frames.
     pub(super) fn leave_out_misfits(&mut self) -> usize {
         let limit = MISFIT * spread(self.errors()).max(1.0);
         let fits = |frame: &SeamFrame| {
@@ -128,11 +128,12 @@ impl Adjustment {
         Some(Reduced { matrix, gradient, inverses })
     }
 
-    /// Errors that remain, in stated deviations.
+    /// The remaining errors, in stated deviations.
     fn scatter(&self, equations: &LensEquations, unknown: usize) -> Option<f64> {
         let unknowns = 6 * self.frames.len() + unknown;
         let freedom = (2 * equations.rays).checked_sub(unknowns).filter(|&left| left > 0)?;
-        // Frames with few rays take much of the errors themselves, so weights take less.
+        // Poses of frames with few rays absorb much of the errors, so the robust weights reduce
+        // less.
         let kept = freedom as f64 / (2 * equations.rays) as f64;
         let squares = equations.squares / freedom as f64;
         let of = |scatter: f64| {
@@ -142,13 +143,13 @@ impl Adjustment {
         Some((0..20).fold(squares.sqrt(), |scatter, _| of(scatter)))
     }
 
-    /// The covariance of the second lens against the first, shift and turn in the camera's axes,
-    /// and the errors that remain, in stated deviations.
+    /// The covariance of the second lens relative to the first, shift and turn in the camera's
+    /// axes, and the remaining errors in stated deviations.
     pub(super) fn covariance(&self) -> Option<(Matrix6<f64>, f64)> {
         let equations = self.equations();
         let scatter = self.scatter(&equations, self.motions[0].ncols())?;
         let inverse = Self::reduced(&equations, 0.0)?.matrix.cholesky()?.inverse();
-        // How the second lens moves against the first.
+        // Derivatives of the second lens' motion relative to the first.
         let relative = &self.motions[1] - &self.motions[0];
         let whole = &relative * inverse * relative.transpose();
         let covariance: Matrix6<f64> = whole.fixed_view::<6, 6>(0, 0).into_owned();
@@ -219,7 +220,7 @@ impl Adjust for Adjustment {
                     let (error, by_point) = ray.linearized(&(from_camera * from_lens));
                     let by_point = by_point * from_camera.matrix();
                     let by_frame = by_motion(&by_point, &arm);
-                    // What moves a lens moves everything the other way.
+                    // A motion of the lens moves all points in the opposite direction.
                     let by_lenses = -by_motion(&by_point, &from_lens) * motion;
                     let squared = error.norm_squared();
                     let weight = 1.0 / (1.0 + squared / (self.scale * self.scale));

@@ -5,38 +5,38 @@ use nalgebra::{Isometry3, Matrix6, Vector6};
 use crate::calibration::weighted_ray::{difference, moved};
 use flockeye_geometry::filter::chi_square_gate;
 
-/// A frame farther from the others than one right one in so many is not of the same pose.
+/// Probability that a frame of the same pose is farther from the others than the gate.
 const ODD_SHARE: f64 = 1e-6;
 
-/// A pose from several frames in which nothing moved.
+/// The pose of a still body from several frames.
 #[derive(Debug, Clone, PartialEq)]
 pub struct StillPose {
-    /// Its mean.
+    /// Mean of the frames' poses.
     pub camera_from_target: Isometry3<f64>,
-    /// As large as that of one frame: still pictures share most of their errors.
+    /// Covariance, as large as that of one frame: still pictures share most of their errors.
     pub covariance: Matrix6<f64>,
-    /// Frames that counted.
+    /// Number of frames that were used.
     pub frames: usize,
-    /// Frames with another pose: something moved, or a pose was mistaken.
+    /// Number of frames with another pose: a motion, or a wrong measurement.
     pub odd: usize,
 }
 
-/// The pose of a body that stands still, from those of several frames, each with its covariance:
-/// position (m), then rotation vector (rad), both in the camera's axes. `None` without a frame, or
-/// where a covariance has no inverse.
+/// The pose of a still body from the poses of several frames. Each has its covariance: position
+/// (m), then rotation vector (rad), both in the camera's axes. `None` without a frame, or if a
+/// covariance has no inverse.
 pub fn still_pose(frames: &[(Isometry3<f64>, Matrix6<f64>)]) -> Option<StillPose> {
     let informations: Option<Vec<Matrix6<f64>>> =
         frames.iter().map(|(_, covariance)| covariance.try_inverse()).collect();
     let informations = informations?;
-    // Two poses are apart by the sum of their covariances; half of the one's information is about
-    // that.
+    // The difference of two poses has the sum of their covariances. Half of one pose's information
+    // approximates its inverse.
     let apart = |a: usize, b: usize| {
         let step = difference(&frames[a].0, &frames[b].0);
         step.dot(&((informations[a] + informations[b]) * step)) / 4.0
     };
     let is_same = |a: usize, b: usize| apart(a, b) <= chi_square_gate(1.0 - ODD_SHARE);
     let company = |a: usize| (0..frames.len()).filter(|&b| is_same(a, b)).count();
-    // The frame with most company; of equals the first.
+    // The frame with the most frames near it; the first of several.
     let middle = (0..frames.len()).rev().max_by_key(|&a| company(a))?;
     let same: Vec<usize> = (0..frames.len()).filter(|&b| is_same(middle, b)).collect();
     let (mut information, mut gradient) = (Matrix6::zeros(), Vector6::zeros());

@@ -1,4 +1,4 @@
-//! Frames and plans that nobody should send.
+//! Test with malformed frames and plans.
 
 use flockeye_contract::{FrameHeader, PlanHeader, PlannedView, StopRule};
 use flockeye_runtime::clock;
@@ -6,7 +6,7 @@ use flockeye_runtime::clock;
 use super::{Bench, PAGE, STALE, Script, TAKEN_UP};
 
 impl Script<'_> {
-    /// What nobody should send costs nothing but itself.
+    /// Malformed messages must not affect later ones.
     pub(super) fn malformed(&mut self, bench: &mut Bench) -> anyhow::Result<()> {
         let honest = self.frame();
         for frame in [
@@ -44,7 +44,7 @@ impl Script<'_> {
                 ..PlanHeader::default()
             };
             self.plans.send(plan, &[view])?;
-            // It is ended, by whatever plan.
+            // The frame must end, by any plan.
             self.fly(bench, |_| Some(0))?;
             if !self.goes_on(bench, &format!("{view:?}"))? {
                 return Ok(());
@@ -64,7 +64,7 @@ impl Script<'_> {
         Ok(())
     }
 
-    /// Whether a frame with a good plan is cut after what was malformed.
+    /// Checks that a frame with a valid plan is cut after malformed messages.
     fn goes_on(&mut self, bench: &mut Bench, after: &str) -> anyhow::Result<bool> {
         self.plan(1, StopRule::All)?;
         let (_, told) = self.fly(bench, |_| Some(0))?;
