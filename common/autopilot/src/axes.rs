@@ -9,29 +9,29 @@ use std::f64::consts::PI;
 use nalgebra::{Quaternion, Unit, UnitQuaternion, Vector3};
 
 /// The half turn about x that leads from FRD to FLU and back.
-pub fn flu_from_frd() -> UnitQuaternion<f64> {
+pub(crate) fn flu_from_frd() -> UnitQuaternion<f64> {
     UnitQuaternion::from_axis_angle(&Vector3::x_axis(), PI)
 }
 
 /// The half turn about the axis between north and east that leads from NED to ENU and back.
-pub fn enu_from_ned() -> UnitQuaternion<f64> {
+pub(crate) fn enu_from_ned() -> UnitQuaternion<f64> {
     UnitQuaternion::from_axis_angle(&Unit::new_normalize(Vector3::new(1.0, 1.0, 0.0)), PI)
 }
 
 /// Converts a vector between the two body axes. It is exact: only signs change.
-pub fn flip(vector: &Vector3<f64>) -> Vector3<f64> {
+pub(crate) fn flip(vector: &Vector3<f64>) -> Vector3<f64> {
     Vector3::new(vector.x, -vector.y, -vector.z)
 }
 
 /// A rotation in MAVLink's order w, x, y, z, with w not negative.
-pub fn to_wxyz(rotation: &UnitQuaternion<f64>) -> [f32; 4] {
+pub(crate) fn to_wxyz(rotation: &UnitQuaternion<f64>) -> [f32; 4] {
     let q = rotation.quaternion();
     let sign = if q.w < 0.0 { -1.0 } else { 1.0 };
     [q.w, q.i, q.j, q.k].map(|part| (sign * part) as f32)
 }
 
 /// A rotation from MAVLink's order w, x, y, z; none where the numbers are not a unit quaternion.
-pub fn from_wxyz([w, x, y, z]: [f32; 4]) -> Option<UnitQuaternion<f64>> {
+pub(crate) fn from_wxyz([w, x, y, z]: [f32; 4]) -> Option<UnitQuaternion<f64>> {
     let [w, x, y, z] = [w, x, y, z].map(f64::from);
     let quaternion = Quaternion::new(w, x, y, z);
     // Autopilots send single precision; a larger error of the norm cannot be rounding.

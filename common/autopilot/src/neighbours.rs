@@ -6,7 +6,7 @@ use crate::neighbour::NeighbourState;
 /// The newest state of each neighbour. Their number is bounded: the oldest one that is not fresh is
 /// replaced.
 #[derive(Debug)]
-pub struct Neighbours {
+pub(crate) struct Neighbours {
     /// A neighbour's index is its number in messages, which stays the same while it is kept.
     neighbours: Vec<Neighbour>,
     max_age_ns: i64,
@@ -34,7 +34,7 @@ impl Neighbour {
 
 impl Neighbours {
     /// An empty table. States are fresh for `max_age_ns` nanoseconds after their exposure.
-    pub fn new(max_age_ns: i64) -> Self {
+    pub(crate) fn new(max_age_ns: i64) -> Self {
         Self { neighbours: Vec::with_capacity(MAX_NEIGHBOURS), max_age_ns }
     }
 
@@ -43,7 +43,11 @@ impl Neighbours {
     /// # Errors
     /// [`AutopilotError::Neighbour`] for an invalid state, [`AutopilotError::TooManyNeighbours`]
     /// where all neighbours in the table are fresh.
-    pub fn update(&mut self, state: &NeighbourState, now_ns: i64) -> Result<(), AutopilotError> {
+    pub(crate) fn update(
+        &mut self,
+        state: &NeighbourState,
+        now_ns: i64,
+    ) -> Result<(), AutopilotError> {
         state.check()?;
         let known = self.neighbours.iter().position(|neighbour| neighbour.state.name == state.name);
         if let Some(neighbour) = known.map(|place| &mut self.neighbours[place]) {
@@ -76,13 +80,13 @@ impl Neighbours {
     }
 
     /// Whether `name` is fresh and has not been sent as the target.
-    pub fn has_target(&self, name: &str, now_ns: i64) -> bool {
+    pub(crate) fn has_target(&self, name: &str, now_ns: i64) -> bool {
         self.fresh(now_ns)
             .any(|(_, neighbour)| neighbour.state.name == name && !neighbour.is_sent_as_target)
     }
 
     /// The state of the target `name`; each is returned once.
-    pub fn take_target(&mut self, name: &str, now_ns: i64) -> Option<(u8, &NeighbourState)> {
+    pub(crate) fn take_target(&mut self, name: &str, now_ns: i64) -> Option<(u8, &NeighbourState)> {
         let max_age_ns = self.max_age_ns;
         let place = self.neighbours.iter().position(|neighbour| neighbour.state.name == name)?;
         let neighbour = &mut self.neighbours[place];
@@ -94,13 +98,13 @@ impl Neighbours {
     }
 
     /// Whether a fresh state has not been sent as an obstacle.
-    pub fn has_obstacles(&self, now_ns: i64) -> bool {
+    pub(crate) fn has_obstacles(&self, now_ns: i64) -> bool {
         self.fresh(now_ns).any(|(_, neighbour)| !neighbour.is_sent_as_obstacle)
     }
 
     /// All fresh states as obstacles, the nearest first, if at least one of them is new. Older ones
     /// are sent again, because a receiver drops the obstacles of the previous message.
-    pub fn take_obstacles(&mut self, now_ns: i64) -> Vec<(u8, &NeighbourState)> {
+    pub(crate) fn take_obstacles(&mut self, now_ns: i64) -> Vec<(u8, &NeighbourState)> {
         if !self.has_obstacles(now_ns) {
             return Vec::new();
         }

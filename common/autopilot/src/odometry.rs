@@ -22,7 +22,7 @@ const MISSING_NS: i64 = 500_000_000;
 
 /// The odometry of the last two seconds.
 #[derive(Debug, Default)]
-pub struct OdometryHistory {
+pub(crate) struct OdometryHistory {
     whole: Timeline<OdometryAt>,
     positions: Timeline<PositionSample>,
     attitudes: Timeline<AttitudeSample>,
@@ -38,7 +38,7 @@ impl OdometryHistory {
     /// Takes `ODOMETRY`, `LOCAL_POSITION_NED` and `ATTITUDE_QUATERNION` that arrived at
     /// `arrived_ns` (CLOCK_MONOTONIC). Its instant is its stamp where the autopilot's clock is
     /// known, and its arrival otherwise.
-    pub fn on_message(
+    pub(crate) fn on_message(
         &mut self,
         message: &MavMessage,
         arrived_ns: i64,
@@ -73,13 +73,13 @@ impl OdometryHistory {
     }
 
     /// Drops everything: the line has another autopilot, or the same one was restarted.
-    pub fn restart(&mut self) {
+    pub(crate) fn restart(&mut self) {
         let epoch = self.epoch.wrapping_add(1);
         *self = Self { epoch, taken: self.taken, ..Self::default() };
     }
 
     /// The newest state; each is returned once.
-    pub fn take_newest(&mut self) -> Option<OdometryState> {
+    pub(crate) fn take_newest(&mut self) -> Option<OdometryState> {
         let whole = self.whole.newest().map(|(at_ns, odometry)| (*at_ns, *odometry));
         let parts = self.newest_parts();
         let is_missing = |at_ns: i64| {
@@ -120,7 +120,7 @@ impl OdometryHistory {
     /// The attitude at this instant of CLOCK_MONOTONIC in ENU axes. None outside the last two
     /// seconds, and in gaps of more than half a second. None where north is unknown to the
     /// autopilot.
-    pub fn enu_from_base_at(&self, monotonic_ns: i64) -> Option<UnitQuaternion<f64>> {
+    pub(crate) fn enu_from_base_at(&self, monotonic_ns: i64) -> Option<UnitQuaternion<f64>> {
         let whole = self.whole.at(monotonic_ns).filter(|at| at.frame == OdometryFrame::Enu);
         whole
             .map(|at| at.odom_from_base.rotation)

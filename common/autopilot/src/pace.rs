@@ -2,7 +2,7 @@
 
 /// Limits a rate: in any time at most as many messages as the rate allows, plus two.
 #[derive(Debug, Clone, Copy)]
-pub struct Pace {
+pub(crate) struct Pace {
     /// Minimum time between two messages on average; none: never.
     period_ns: Option<i64>,
     due_ns: i64,
@@ -10,25 +10,25 @@ pub struct Pace {
 
 impl Pace {
     /// A pace of at most `hz` a second; 0: never.
-    pub fn from_hz(hz: f64) -> Self {
+    pub(crate) fn from_hz(hz: f64) -> Self {
         let period_ns = (hz > 0.0).then(|| (1e9 / hz) as i64);
         Self { period_ns, due_ns: i64::MIN }
     }
 
     /// Whether a message may be sent at `now_ns`.
-    pub fn is_due(&self, now_ns: i64) -> bool {
+    pub(crate) fn is_due(&self, now_ns: i64) -> bool {
         self.period_ns.is_some() && now_ns >= self.due_ns
     }
 
     /// Time from which the next message may be sent; none: never.
-    pub fn due_ns(&self) -> Option<i64> {
+    pub(crate) fn due_ns(&self) -> Option<i64> {
         self.period_ns.map(|_| self.due_ns)
     }
 
     /// Notes a message that was sent at `now_ns`. Messages follow frames, and are seldom sent
     /// exactly when due. So the next is due one period after this one was due, which holds the mean
     /// rate. It is due at least half a period from now, so that no two follow at once.
-    pub fn sent(&mut self, now_ns: i64) {
+    pub(crate) fn sent(&mut self, now_ns: i64) {
         let Some(period_ns) = self.period_ns else { return };
         self.due_ns =
             self.due_ns.saturating_add(period_ns).max(now_ns.saturating_add(period_ns / 2));

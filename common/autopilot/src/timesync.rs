@@ -53,7 +53,7 @@ impl TimeOffset {
 
 /// The estimate of the autopilot's clock, from a bounded number of answers.
 #[derive(Debug, Clone, Default)]
-pub struct Timesync {
+pub(crate) struct Timesync {
     /// `ts1` of each request, which the answer repeats, and its time of sending.
     requests: VecDeque<(i64, i64)>,
     /// Arrival and offset of each answer.
@@ -64,12 +64,12 @@ pub struct Timesync {
 
 impl Timesync {
     /// Period of requests, nanoseconds.
-    pub fn period_ns(&self) -> i64 {
+    pub(crate) fn period_ns(&self) -> i64 {
         PERIOD_NS[usize::from(self.answers.len() >= 10 && self.rivals.is_empty())]
     }
 
     /// Notes a request with this `ts1`, sent at `sent_ns` (CLOCK_MONOTONIC).
-    pub fn on_request(&mut self, stamp: i64, sent_ns: i64) {
+    pub(crate) fn on_request(&mut self, stamp: i64, sent_ns: i64) {
         if self.requests.len() == MAX_REQUESTS {
             self.requests.pop_front();
         }
@@ -79,7 +79,7 @@ impl Timesync {
     /// Takes an answer, `tc1` and `ts1`, that arrived at `arrived_ns` (CLOCK_MONOTONIC). Answers to
     /// unknown requests, or a second answer, change nothing: other programs send requests on the
     /// same line. Returns whether the autopilot's clock is another than before.
-    pub fn on_answer(&mut self, autopilot_ns: i64, stamp: i64, arrived_ns: i64) -> bool {
+    pub(crate) fn on_answer(&mut self, autopilot_ns: i64, stamp: i64, arrived_ns: i64) -> bool {
         let place = self.requests.iter().position(|(asked, _)| *asked == stamp);
         let Some((_, sent_ns)) = place.and_then(|place| self.requests.remove(place)) else {
             return false;
@@ -123,7 +123,7 @@ impl Timesync {
 
     /// Offset of the autopilot's clock at `now_ns` (CLOCK_MONOTONIC); none before enough answers,
     /// and after a minute without one.
-    pub fn offset(&self, now_ns: i64) -> Option<TimeOffset> {
+    pub(crate) fn offset(&self, now_ns: i64) -> Option<TimeOffset> {
         self.best(now_ns).filter(|_| self.answers.len() >= LEAST_ANSWERS)
     }
 

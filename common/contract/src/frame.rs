@@ -77,7 +77,7 @@ impl FrameStamp {
 }
 
 /// See [`FrameStamp::is_late_beside`].
-pub const LATEST_BY_FRAMES: u64 = 64;
+pub(crate) const LATEST_BY_FRAMES: u64 = 64;
 
 /// Header of a frame. Payload: the luma plane, `stride * height` bytes, then chroma for `nv12`.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable, ZeroCopySend, Described)]

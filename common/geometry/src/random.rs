@@ -4,6 +4,7 @@ use nalgebra::Vector3;
 
 /// SplitMix64 (Steele, Lea and Flood, "Fast splittable pseudorandom number generators", 2014).
 #[derive(Debug, Clone)]
+#[allow(unreachable_pub, reason = "fixtures export it")]
 pub struct Chance(u64);
 
 impl Chance {

@@ -23,7 +23,7 @@ const LONGEST_ROUND_NS: i64 = 1_000_000_000;
 /// Transit times: from sending by the peer's clock (UTC) to arrival by ours (CLOCK_MONOTONIC),
 /// nanoseconds.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub struct OneWay {
+pub(crate) struct OneWay {
     /// The minimum of this window and of the one before.
     least: [Option<i64>; 2],
     window_began_ns: i64,
@@ -82,7 +82,7 @@ impl OneWay {
 
     /// The estimate, where our UTC is `own_utc_less_monotonic_ns` ahead of CLOCK_MONOTONIC. None
     /// before the first report.
-    pub fn estimate(&self, own_utc_less_monotonic_ns: i64) -> Option<ClockEstimate> {
+    pub(crate) fn estimate(&self, own_utc_less_monotonic_ns: i64) -> Option<ClockEstimate> {
         let one_way_ns = self.least()?.saturating_add(own_utc_less_monotonic_ns);
         let round = self.back.map(|back| (back, back.saturating_add(one_way_ns)));
         // A round trip that is negative or very long is invalid. Then the peer's value is false, or

@@ -43,7 +43,7 @@ impl ClockReading {
 
 /// Times of one observer's reports.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub struct Freshness {
+pub(crate) struct Freshness {
     /// Transit times, which contain the offset of the observer's clock.
     pub(crate) way: OneWay,
     last_passed_ns: Option<i64>,

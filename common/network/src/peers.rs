@@ -78,7 +78,7 @@ impl LatestSighting {
 
 /// Age at `now` of a pose whose report arrived at `arrived`. It is the time since then plus the
 /// latency in the report. It needs no common clock, and omits only the transit time.
-pub fn age_of(arrived: Instant, latency_ms: f64, now: Instant) -> Duration {
+pub(crate) fn age_of(arrived: Instant, latency_ms: f64, now: Instant) -> Duration {
     // The number may be invalid; then it makes the pose old, never young.
     let latency = Duration::try_from_secs_f64(latency_ms.max(0.0) / 1e3).unwrap_or(Duration::MAX);
     now.saturating_duration_since(arrived).saturating_add(latency)

@@ -42,7 +42,7 @@ impl Refused {
 
 /// The reason why a message was refused.
 #[derive(Debug, thiserror::Error)]
-pub enum Refusal {
+pub(crate) enum Refusal {
     #[error("no key of a report: names are letters, digits, '-', '_' or '.'")]
     Key,
     /// Not a report.

@@ -30,8 +30,6 @@
 //! | [`clock`] | CLOCK_MONOTONIC |
 //! | [`logs`] | structured logs, and warnings that are not repeated on every frame |
 
-#![warn(unreachable_pub)]
-
 pub mod background;
 pub mod backoff;
 pub mod clock;

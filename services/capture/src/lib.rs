@@ -31,8 +31,6 @@
 //! [`FrameSource::next`] takes from it. In [`Flow::Latest`](flockeye_config::Flow) a new frame
 //! replaces a waiting one; in `Flow::Lossless` the decoder waits until there is room.
 
-#![warn(unreachable_pub)]
-
 mod arrivals;
 mod byte_stream;
 mod census;

@@ -22,7 +22,7 @@ pub struct OpenCvDetector {
 }
 
 /// Whether OpenCV is available and finds markers of this dictionary in a picture without any.
-pub fn examine(dictionary: &str) -> Vec<Finding> {
+pub(crate) fn examine(dictionary: &str) -> Vec<Finding> {
     let version = opencv::core::get_version_string().unwrap_or_else(|error| error.to_string());
     let searched = OpenCvDetector::new(dictionary).map_err(|error| error.to_string());
     vec![match searched {

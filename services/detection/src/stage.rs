@@ -11,7 +11,7 @@ use flockeye_runtime::{Context, Stage, Step, clock};
 use crate::core::Core;
 
 /// Receives the views of its lane and sends a detection record for each, also for an empty one.
-pub struct DetectionStage {
+pub(crate) struct DetectionStage {
     views: Subscriber<Views>,
     detections: Publisher<Detections>,
     core: Core,

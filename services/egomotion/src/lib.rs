@@ -5,8 +5,6 @@
 //! its comparison (`inertial`). Health reports the rotation (`words`). docs/DETECTION.md describes
 //! the method and its accuracy.
 
-#![warn(unreachable_pub)]
-
 mod core;
 mod inertial;
 mod rate;

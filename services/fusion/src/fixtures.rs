@@ -19,17 +19,17 @@ use crate::planning::Planning;
 use crate::record::Record;
 use crate::tracker::Tracker;
 
-pub use self::scene::*;
+pub(crate) use self::scene::*;
 
 #[path = "../tests/scene/mod.rs"]
 mod scene;
 
-pub fn aligner(bodies: &Bodies) -> Aligner {
+pub(crate) fn aligner(bodies: &Bodies) -> Aligner {
     let prints = prints();
     Aligner::new(bodies, |id| prints.get(&id), PIXELS_PER_RADIAN).unwrap()
 }
 
-pub fn tracker_of(bodies: Vec<Body>, threads: usize) -> Tracker {
+pub(crate) fn tracker_of(bodies: Vec<Body>, threads: usize) -> Tracker {
     let bodies = Bodies::new("DICT_5X5_250".into(), bodies).unwrap();
     // Targets jump here from one frame to the next, farther than real ones do.
     let motion = MotionModel { acceleration: 1.5, ..MotionModel::default() };
@@ -37,7 +37,7 @@ pub fn tracker_of(bodies: Vec<Body>, threads: usize) -> Tracker {
     Tracker::new(&bodies, Some(policy), Arc::new(aligner(&bodies)), threads, None)
 }
 
-pub fn planner() -> Planner {
+pub(crate) fn planner() -> Planner {
     let partition = Partition::icosahedron();
     let views = partition.views(0.1, PIXELS_PER_RADIAN).unwrap();
     let roi = RoiOptions::new(PIXELS_PER_RADIAN);
@@ -45,13 +45,13 @@ pub fn planner() -> Planner {
 }
 
 /// The first plan of a process.
-pub fn plan() -> Plan {
+pub(crate) fn plan() -> Plan {
     let planner = planner();
     Planning::new(&planner).next(&planner, 1, &tracker_of(vec![alpha()], 1)).plan
 }
 
 /// Gives `by` a view that shows alpha at `pose`.
-pub fn with_view<T>(pose: &Isometry3<f64>, by: impl FnOnce(&BestView<'_>) -> T) -> T {
+pub(crate) fn with_view<T>(pose: &Isometry3<f64>, by: impl FnOnce(&BestView<'_>) -> T) -> T {
     let drawing = drawing(pose);
     let light = LinearLight::new(TransferCurve::Srgb, CodeRange::Full).unwrap();
     let (image, view) = (drawing.image(), drawing.view);
@@ -60,6 +60,6 @@ pub fn with_view<T>(pose: &Isometry3<f64>, by: impl FnOnce(&BestView<'_>) -> T) 
 }
 
 /// Position error of a pose, metres.
-pub fn error_m(found: &Isometry3<f64>, truth: &Isometry3<f64>) -> f64 {
+pub(crate) fn error_m(found: &Isometry3<f64>, truth: &Isometry3<f64>) -> f64 {
     (found.translation.vector - truth.translation.vector).norm()
 }

@@ -11,8 +11,6 @@
 //!
 //! Egomotion checks the samples against the picture.
 
-#![warn(unreachable_pub)]
-
 pub mod autopilot;
 mod core;
 mod line_activity;

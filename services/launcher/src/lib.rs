@@ -31,8 +31,6 @@
 //! | `fault_point` | steps of a hand-over at which tests stop it |
 //! | [`exec`] | the first instructions of a stage's process |
 
-#![warn(unreachable_pub)]
-
 mod bodies;
 mod check;
 mod clean;

@@ -19,8 +19,6 @@
 //! | `stage` | the receiving thread |
 //! | `writer` | the writing thread |
 
-#![warn(unreachable_pub)]
-
 mod about;
 pub mod arguments;
 mod core;

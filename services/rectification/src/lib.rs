@@ -18,8 +18,6 @@
 //! | `silence_reports` | timeouts of sources and workers |
 //! | `stage` | messages between ports, core and back end |
 
-#![warn(unreachable_pub)]
-
 mod backend;
 mod cadence;
 pub mod core;

@@ -52,8 +52,6 @@
 //! | `core` | the order of frames, and their messages |
 //! | `stage` | the ports around it |
 
-#![warn(unreachable_pub)]
-
 mod ahead;
 mod backdrop;
 mod core;

@@ -6,7 +6,7 @@ use crate::foxglove_view::FoxgloveView;
 use crate::pages::{Demand, Pages};
 
 /// The pages and clients that are connected.
-pub struct Audience {
+pub(crate) struct Audience {
     pub pages: Arc<Pages>,
     /// Foxglove's clients, where they are served.
     pub foxglove: Option<FoxgloveView>,
@@ -14,13 +14,13 @@ pub struct Audience {
 
 impl Audience {
     /// The union of all pages' and clients' demands.
-    pub fn wanted(&self) -> Demand {
+    pub(crate) fn wanted(&self) -> Demand {
         let wanted = self.foxglove.as_ref().map(FoxgloveView::wanted).unwrap_or_default();
         self.pages.wanted().or(wanted)
     }
 
     /// Whether a page or client can take a picture or a close-up now.
-    pub fn takes_pictures(&self, wanted: Demand) -> bool {
+    pub(crate) fn takes_pictures(&self, wanted: Demand) -> bool {
         let takes =
             |foxglove: &FoxgloveView| foxglove.wanted().pictures || foxglove.wanted().closeups;
         (wanted.pictures || wanted.closeups)
@@ -28,7 +28,7 @@ impl Audience {
     }
 
     /// Calls `tell` with Foxglove's clients, where they are served.
-    pub fn to_foxglove(&self, tell: impl FnOnce(&FoxgloveView)) {
+    pub(crate) fn to_foxglove(&self, tell: impl FnOnce(&FoxgloveView)) {
         if let Some(foxglove) = &self.foxglove {
             tell(foxglove);
         }

@@ -18,7 +18,7 @@ use crate::picture::gray_jpeg;
 use crate::wire::{CloseupHead, Likeness};
 
 /// Makes close-ups of one pipeline's neighbours.
-pub struct CloseupMaker {
+pub(crate) struct CloseupMaker {
     bodies: Bodies,
     prints: Vec<BodyPrint>,
     camera: Camera,
@@ -32,7 +32,7 @@ impl CloseupMaker {
     ///
     /// # Errors
     /// The dictionary cannot be read, a body cannot be drawn, or the camera's curve does not rise.
-    pub fn new(resolved: &Resolved) -> anyhow::Result<Self> {
+    pub(crate) fn new(resolved: &Resolved) -> anyhow::Result<Self> {
         let dictionary = Dictionary::load(&resolved.bodies.dictionary)?;
         let prints =
             resolved.bodies.iter().map(|body| BodyPrint::new(body, |id| dictionary.print(id)));
@@ -51,7 +51,7 @@ impl CloseupMaker {
     ///
     /// # Errors
     /// The frame does not match its header, or its response curve is unknown.
-    pub fn closeup(
+    pub(crate) fn closeup(
         &mut self,
         header: &FrameHeader,
         pixels: &[u8],

@@ -56,7 +56,7 @@ impl Command {
 
 /// Serves a connection until it ends. Its errors concern only the other end, so they go to the
 /// debug log.
-pub fn serve(mut stream: TcpStream, access: &Access, pages: &Pages, explainer: &Explainer) {
+pub(crate) fn serve(mut stream: TcpStream, access: &Access, pages: &Pages, explainer: &Explainer) {
     if let Err(error) = try_serve(&mut stream, access, pages, explainer) {
         tracing::debug!("a connection ended: {error}");
     }

@@ -25,7 +25,7 @@ const LOOK_PERIOD: Duration = Duration::from_millis(20);
 
 /// A page's question: why does this frame have this pose of a neighbour, or none?
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct PoseQuestion {
+pub(crate) struct PoseQuestion {
     /// The name of the neighbour's body.
     target: String,
     /// The frame's key ([`crate::wire::key`]).
@@ -34,7 +34,7 @@ pub struct PoseQuestion {
 
 impl PoseQuestion {
     /// Reads `target=NAME&frame=KEY`. `None`: the query is not such a question.
-    pub fn of_query(query: &str) -> Option<Self> {
+    pub(crate) fn of_query(query: &str) -> Option<Self> {
         let value = |name: &str| {
             let mut pairs = query.split('&').filter_map(|pair| pair.split_once('='));
             pairs.find(|(key, _)| *key == name).map(|(_, value)| value.to_owned())
@@ -48,7 +48,7 @@ impl PoseQuestion {
 }
 
 #[derive(Debug, thiserror::Error)]
-pub enum NoExplanation {
+pub(crate) enum NoExplanation {
     #[error("another question is being answered. Cure: ask again when it is done")]
     Busy,
     #[error(
@@ -80,23 +80,26 @@ enum AnswerSource {
 }
 
 #[derive(Debug)]
-pub struct Explainer {
+pub(crate) struct Explainer {
     source: AnswerSource,
     turn: Mutex<()>,
 }
 
 impl Explainer {
-    pub fn of_recording(path: &Path) -> Self {
+    pub(crate) fn of_recording(path: &Path) -> Self {
         Self { source: AnswerSource::File(path.to_owned()), turn: Mutex::new(()) }
     }
 
-    pub fn of_pipeline(instance: Instance) -> Self {
+    pub(crate) fn of_pipeline(instance: Instance) -> Self {
         Self { source: AnswerSource::Pipeline(instance), turn: Mutex::new(()) }
     }
 
     /// Answers with a text for people, and a PNG of the neighbour in the frame. The PNG is empty
     /// where there is nothing to draw. It takes as long as the replay of the flight.
-    pub fn answer(&self, question: &PoseQuestion) -> Result<(String, Vec<u8>), NoExplanation> {
+    pub(crate) fn answer(
+        &self,
+        question: &PoseQuestion,
+    ) -> Result<(String, Vec<u8>), NoExplanation> {
         let _turn = match self.turn.try_lock() {
             Ok(turn) => turn,
             Err(TryLockError::WouldBlock) => return Err(NoExplanation::Busy),

@@ -1,7 +1,7 @@
 //! The page itself: files that are compiled into this program. Nothing else is ever served.
 
 #[derive(Debug, PartialEq, Eq)]
-pub struct PageFile {
+pub(crate) struct PageFile {
     /// Its path in the address.
     pub path: &'static str,
     pub media_type: &'static str,
@@ -9,13 +9,13 @@ pub struct PageFile {
 }
 
 /// The page's content security policy: nothing from elsewhere, nothing inline.
-pub const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; \
+pub(crate) const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; \
      connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
 
 macro_rules! files {
     ($($path:literal => $media_type:literal, $file:literal;)+) => {
         /// All files of the page.
-        pub const FILES: &[PageFile] = &[$(PageFile {
+        pub(crate) const FILES: &[PageFile] = &[$(PageFile {
             path: $path,
             media_type: $media_type,
             content: include_bytes!(concat!("../page/", $file)),
@@ -42,7 +42,7 @@ files! {
     "/timelines.js" => "text/javascript; charset=utf-8", "timelines.js";
 }
 
-pub fn find(path: &str) -> Option<&'static PageFile> {
+pub(crate) fn find(path: &str) -> Option<&'static PageFile> {
     FILES.iter().find(|file| file.path == path)
 }
 

@@ -44,7 +44,7 @@ use values::{CAMERA, OBSERVER, pose, timestamp};
 const BACKLOG: usize = 64;
 
 /// Channels of a Foxglove server for the pipeline or recording that is shown.
-pub struct FoxgloveView {
+pub(crate) struct FoxgloveView {
     context: Arc<Context>,
     resolved: Resolved,
     transforms: Channel<FrameTransforms>,
@@ -69,7 +69,7 @@ impl FoxgloveView {
     ///
     /// # Errors
     /// The pipeline's configuration cannot be read, or the address is in use or not this machine's.
-    pub fn start(address: SocketAddr, instance: &Instance) -> anyhow::Result<(Self, u16)> {
+    pub(crate) fn start(address: SocketAddr, instance: &Instance) -> anyhow::Result<(Self, u16)> {
         let resolved = Resolved::of(instance.pipeline()?)?;
         let (view, server) = Self::serve(address, instance.name(), &resolved, |server| server)?;
         Ok((view, server.port()))
@@ -79,7 +79,7 @@ impl FoxgloveView {
     ///
     /// # Errors
     /// A channel cannot be made, or the address is in use or not this machine's.
-    pub fn serve(
+    pub(crate) fn serve(
         address: SocketAddr,
         name: &str,
         resolved: &Resolved,
@@ -130,12 +130,12 @@ impl FoxgloveView {
     }
 
     /// Sets the time of a recording that the next messages carry, UTC nanoseconds.
-    pub fn set_time(&mut self, utc_ns: u64) {
+    pub(crate) fn set_time(&mut self, utc_ns: u64) {
         self.recorded_ns = i64::try_from(utc_ns).ok();
     }
 
     /// Advertises the channels of a pipeline, in place of those of another.
-    pub fn begin(&mut self, resolved: &Resolved) -> anyhow::Result<()> {
+    pub(crate) fn begin(&mut self, resolved: &Resolved) -> anyhow::Result<()> {
         if self.resolved.pipeline != resolved.pipeline {
             self.close();
             *self = Self::new(self.context.clone(), resolved)?;
@@ -155,7 +155,7 @@ impl FoxgloveView {
     }
 
     /// The clients' subscriptions.
-    pub fn wanted(&self) -> Demand {
+    pub(crate) fn wanted(&self) -> Demand {
         let pictures = self.sphere.has_sinks() || self.annotations.has_sinks();
         let closeups = self.closeups.iter().any(Channel::has_sinks);
         let anything = pictures
@@ -169,7 +169,7 @@ impl FoxgloveView {
     }
 
     /// Sends the tracks and the message of a frame.
-    pub fn frame(&self, ended: &EndedFrame) {
+    pub(crate) fn frame(&self, ended: &EndedFrame) {
         let (at, stamped) = self.time(&ended.stamp);
         let tracks = &ended.tracks;
         put(&self.transforms, at, || scene::transforms(&self.resolved, tracks, stamped));
@@ -191,7 +191,7 @@ impl FoxgloveView {
 
     /// Sends a frame's picture, with its annotations if it has ended. `size`: width and height,
     /// pixels.
-    pub fn picture(
+    pub(crate) fn picture(
         &self,
         stamp: &FrameStamp,
         ended: Option<&EndedFrame>,
@@ -207,14 +207,14 @@ impl FoxgloveView {
         }
     }
 
-    pub fn closeup(&self, stamp: &FrameStamp, target: u32, jpeg: &[u8]) {
+    pub(crate) fn closeup(&self, stamp: &FrameStamp, target: u32, jpeg: &[u8]) {
         if let Some(channel) = self.closeups.get(target as usize) {
             let (at, stamped) = self.time(stamp);
             put(channel, at, || image(CAMERA, stamped, jpeg));
         }
     }
 
-    pub fn stages(&self, stages: &[ProcessReport]) {
+    pub(crate) fn stages(&self, stages: &[ProcessReport]) {
         if self.stages.has_sinks()
             && let Ok(json) = serde_json::to_vec(&BTreeMap::from([("stages", stages)]))
         {

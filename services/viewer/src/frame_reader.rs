@@ -20,7 +20,7 @@ const RETRY_PERIOD_NS: i64 = 3_000_000_000;
 const CLOSEUPS: usize = 2;
 
 /// Reads frames while a page or client requests pictures.
-pub struct FrameReader<'p> {
+pub(crate) struct FrameReader<'p> {
     ports: &'p Ports,
     resolved: &'p Resolved,
     rate: f64,
@@ -33,7 +33,7 @@ pub struct FrameReader<'p> {
 
 impl<'p> FrameReader<'p> {
     /// Starts without frames. `rate`: maximum pictures per second.
-    pub fn new(ports: &'p Ports, resolved: &'p Resolved, rate: f64) -> Self {
+    pub(crate) fn new(ports: &'p Ports, resolved: &'p Resolved, rate: f64) -> Self {
         Self { ports, resolved, rate, pictures: None, trouble: None, turn: 0 }
     }
 
@@ -42,7 +42,7 @@ impl<'p> FrameReader<'p> {
     ///
     /// # Errors
     /// Frames cannot be read any more.
-    pub fn receive(
+    pub(crate) fn receive(
         &mut self,
         wanted: Demand,
         is_due: bool,
@@ -70,7 +70,7 @@ impl<'p> FrameReader<'p> {
     }
 
     /// Shows an ended frame, if a picture of it is due.
-    pub fn ended(&mut self, ended: &EndedFrame, audience: &Audience, wanted: Demand) {
+    pub(crate) fn ended(&mut self, ended: &EndedFrame, audience: &Audience, wanted: Demand) {
         let Some(pictures) = &mut self.pictures else { return };
         let Some(frame) = pictures.held.ended(&ended.stamp) else { return };
         if wanted.pictures {
@@ -88,7 +88,7 @@ impl<'p> FrameReader<'p> {
     }
 
     /// Shows a frame that has not ended within the timeout.
-    pub fn overdue(&mut self, audience: &Audience, wanted: Demand, now_ns: i64) {
+    pub(crate) fn overdue(&mut self, audience: &Audience, wanted: Demand, now_ns: i64) {
         if let Some(pictures) = &mut self.pictures
             && let Some((_, frame)) = pictures.held.overdue(now_ns)
             && wanted.pictures
@@ -99,7 +99,7 @@ impl<'p> FrameReader<'p> {
 }
 
 /// Whether a track gets a close-up.
-pub fn is_shown_closely(track: &&Track) -> bool {
+pub(crate) fn is_shown_closely(track: &&Track) -> bool {
     TrackState::try_from(track.state).is_ok_and(TrackState::is_present)
 }
 

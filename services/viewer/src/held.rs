@@ -16,7 +16,7 @@ const PATIENCE_NS: i64 = 400_000_000;
 
 /// The held frames, one of which becomes the next picture.
 #[derive(Debug)]
-pub struct Held<F> {
+pub(crate) struct Held<F> {
     period_ns: i64,
     /// Frames that were published before this time are not shown.
     due_ns: i64,
@@ -25,13 +25,13 @@ pub struct Held<F> {
 
 impl<F> Held<F> {
     /// Starts without frames. Pictures are made about `period_ns` nanoseconds apart.
-    pub fn new(period_ns: i64) -> Self {
+    pub(crate) fn new(period_ns: i64) -> Self {
         Self { period_ns, due_ns: i64::MIN, frames: VecDeque::new() }
     }
 
     /// Takes a new frame, and drops it at once unless a picture is due. The oldest frame stays,
     /// because it ends first; a newer frame replaces the one behind it.
-    pub fn frame(&mut self, stamp: FrameStamp, frame: F) {
+    pub(crate) fn frame(&mut self, stamp: FrameStamp, frame: F) {
         if stamp.published_ns < self.due_ns {
             return;
         }
@@ -43,7 +43,7 @@ impl<F> Held<F> {
 
     /// The frame that has ended, if it is held: a picture is now made from it. Frames end in order,
     /// so older ones are dropped.
-    pub fn ended(&mut self, stamp: &FrameStamp) -> Option<F> {
+    pub(crate) fn ended(&mut self, stamp: &FrameStamp) -> Option<F> {
         while self.frames.front().is_some_and(|(held, _)| held.order() < stamp.order()) {
             self.frames.pop_front();
         }
@@ -52,12 +52,12 @@ impl<F> Held<F> {
     }
 
     /// The oldest frame, if it has not ended within the timeout.
-    pub fn overdue(&mut self, now_ns: i64) -> Option<(FrameStamp, F)> {
+    pub(crate) fn overdue(&mut self, now_ns: i64) -> Option<(FrameStamp, F)> {
         let (oldest, _) = self.frames.front()?;
         (now_ns.saturating_sub(oldest.published_ns) > PATIENCE_NS).then(|| self.take())?
     }
 
-    pub fn clear(&mut self) {
+    pub(crate) fn clear(&mut self) {
         self.frames.clear();
     }
 

@@ -8,7 +8,7 @@ use std::collections::VecDeque;
 
 /// The kind of a message, which decides how it waits.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum OutboxKind {
+pub(crate) enum OutboxKind {
     /// Must arrive; only a newer one replaces it.
     Hello,
     /// One for each frame; the oldest is dropped where too many wait.
@@ -35,7 +35,7 @@ const CREDITS: u32 = 3;
 
 /// Messages for one page, in the order in which they came.
 #[derive(Debug)]
-pub struct PageOutbox<M> {
+pub(crate) struct PageOutbox<M> {
     waiting: VecDeque<(OutboxKind, M)>,
     wants_pictures: bool,
     under_way: u32,
@@ -49,7 +49,7 @@ impl<M> Default for PageOutbox<M> {
 
 impl<M> PageOutbox<M> {
     /// Queues a message. Returns false if this page does not take it.
-    pub fn put(&mut self, kind: OutboxKind, message: M) -> bool {
+    pub(crate) fn put(&mut self, kind: OutboxKind, message: M) -> bool {
         match kind {
             OutboxKind::Picture if !self.takes_pictures() => return false,
             OutboxKind::Picture => self.under_way += 1,
@@ -78,34 +78,34 @@ impl<M> PageOutbox<M> {
         true
     }
 
-    pub fn take(&mut self) -> Option<M> {
+    pub(crate) fn take(&mut self) -> Option<M> {
         self.waiting.pop_front().map(|(_, message)| message)
     }
 
     /// Number of messages that wait.
-    pub fn waiting(&self) -> usize {
+    pub(crate) fn waiting(&self) -> usize {
         self.waiting.len()
     }
 
     /// Whether a picture may be sent to it now.
-    pub fn takes_pictures(&self) -> bool {
+    pub(crate) fn takes_pictures(&self) -> bool {
         self.wants_pictures && self.under_way < CREDITS
     }
 
     /// Whether the page requests pictures, now or later.
-    pub fn wants_pictures(&self) -> bool {
+    pub(crate) fn wants_pictures(&self) -> bool {
         self.wants_pictures
     }
 
     /// Sets whether the page requests pictures.
-    pub fn set_wants_pictures(&mut self, wants: bool) {
+    pub(crate) fn set_wants_pictures(&mut self, wants: bool) {
         self.wants_pictures = wants;
         // Pictures under way no longer count: a page that was hidden may not have shown them.
         self.under_way = 0;
     }
 
     /// Notes that the page has shown or dropped a picture.
-    pub fn shown(&mut self) {
+    pub(crate) fn shown(&mut self) {
         self.under_way = self.under_way.saturating_sub(1);
     }
 }

@@ -15,18 +15,18 @@ use crate::request::HttpRefusal;
 use crate::wire::{self, TextMessage};
 
 /// Maximum pages that are open at once.
-pub const MOST_PAGES: usize = 16;
+pub(crate) const MOST_PAGES: usize = 16;
 
 /// All open pages. The ports' thread puts messages in and never waits.
 #[derive(Default)]
-pub struct Pages {
+pub(crate) struct Pages {
     state: Mutex<State>,
     changed: Condvar,
     player: Option<StartPlayer>,
 }
 
 /// Starts a recording's player for one page, which runs until the page's [`Remote`] is closed.
-pub type StartPlayer = Box<dyn Fn(Arc<OpenPage>) -> io::Result<()> + Send + Sync>;
+pub(crate) type StartPlayer = Box<dyn Fn(Arc<OpenPage>) -> io::Result<()> + Send + Sync>;
 
 #[derive(Default)]
 struct State {
@@ -38,7 +38,7 @@ struct State {
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct Demand {
+pub(crate) struct Demand {
     pub anything: bool,
     pub pictures: bool,
     pub closeups: bool,
@@ -46,7 +46,7 @@ pub struct Demand {
 
 impl Demand {
     /// The union of both demands.
-    pub fn or(self, other: Self) -> Self {
+    pub(crate) fn or(self, other: Self) -> Self {
         Self {
             anything: self.anything || other.anything,
             pictures: self.pictures || other.pictures,
@@ -56,7 +56,7 @@ impl Demand {
 }
 
 /// One open page, which its own thread and the ports' thread share.
-pub struct OpenPage {
+pub(crate) struct OpenPage {
     outbox: Mutex<PageOutbox<Message>>,
     /// A byte in this stream signals that a message waits.
     bell: UnixStream,
@@ -67,7 +67,7 @@ pub struct OpenPage {
 
 impl Pages {
     /// Pages that each have a player of their own.
-    pub fn with_players(player: StartPlayer) -> Self {
+    pub(crate) fn with_players(player: StartPlayer) -> Self {
         Self { player: Some(player), ..Self::default() }
     }
 
@@ -75,7 +75,7 @@ impl Pages {
     ///
     /// # Errors
     /// [`HttpRefusal::Full`] where too many are open, or the system has no more descriptors.
-    pub fn open(&self) -> Result<Arc<OpenPage>, HttpRefusal> {
+    pub(crate) fn open(&self) -> Result<Arc<OpenPage>, HttpRefusal> {
         let mut state = lock(&self.state);
         if state.pages.len() >= MOST_PAGES {
             return Err(HttpRefusal::Full);
@@ -101,7 +101,7 @@ impl Pages {
     }
 
     /// Closes a page.
-    pub fn close(&self, page: &Arc<OpenPage>) {
+    pub(crate) fn close(&self, page: &Arc<OpenPage>) {
         if let Some(remote) = &page.remote {
             remote.close();
         }
@@ -110,12 +110,12 @@ impl Pages {
     }
 
     /// Signals that the demand of a page has changed.
-    pub fn changed(&self) {
+    pub(crate) fn changed(&self) {
         self.changed.notify_all();
     }
 
     /// Puts a message into each page's outbox.
-    pub fn put(&self, kind: OutboxKind, message: &Message) {
+    pub(crate) fn put(&self, kind: OutboxKind, message: &Message) {
         let mut state = lock(&self.state);
         match kind {
             OutboxKind::Hello => state.hello = Some(message.clone()),
@@ -129,11 +129,11 @@ impl Pages {
     }
 
     /// Puts a text message into each page's outbox.
-    pub fn tell(&self, message: &TextMessage<'_>) {
+    pub(crate) fn tell(&self, message: &TextMessage<'_>) {
         self.put(message.kind(), &wire::text(message));
     }
 
-    pub fn wanted(&self) -> Demand {
+    pub(crate) fn wanted(&self) -> Demand {
         let state = lock(&self.state);
         // A page shows pictures and close-ups, or neither.
         let pictures = state.pages.iter().any(|page| page.outbox(|outbox| outbox.wants_pictures()));
@@ -141,12 +141,12 @@ impl Pages {
     }
 
     /// Whether any page can take a picture now.
-    pub fn takes_pictures(&self) -> bool {
+    pub(crate) fn takes_pictures(&self) -> bool {
         lock(&self.state).pages.iter().any(|page| page.outbox(|outbox| outbox.takes_pictures()))
     }
 
     /// Waits for a change, at most `at_most`.
-    pub fn wait(&self, at_most: Duration) {
+    pub(crate) fn wait(&self, at_most: Duration) {
         let state = lock(&self.state);
         // The caller checks again after a wake-up and after a timeout.
         drop(self.changed.wait_timeout(state, at_most).unwrap_or_else(PoisonError::into_inner));
@@ -163,12 +163,12 @@ impl OpenPage {
     }
 
     /// Passes a request of the page to its player. False where it has none.
-    pub fn ask(&self, wish: Move) -> bool {
+    pub(crate) fn ask(&self, wish: Move) -> bool {
         self.remote.as_ref().map(|remote| remote.ask(wish)).is_some()
     }
 
     /// Puts a message into its outbox.
-    pub fn put(&self, kind: OutboxKind, message: Message) {
+    pub(crate) fn put(&self, kind: OutboxKind, message: Message) {
         if self.outbox(|outbox| outbox.put(kind, message)) {
             // A full stream already signals that a message waits.
             let _ = (&self.bell).write(&[1]);
@@ -176,17 +176,17 @@ impl OpenPage {
     }
 
     /// Gives `look` access to the outbox.
-    pub fn outbox<R>(&self, look: impl FnOnce(&mut PageOutbox<Message>) -> R) -> R {
+    pub(crate) fn outbox<R>(&self, look: impl FnOnce(&mut PageOutbox<Message>) -> R) -> R {
         look(&mut lock(&self.outbox))
     }
 
     /// A descriptor that is readable while a message waits.
-    pub fn ringing(&self) -> BorrowedFd<'_> {
+    pub(crate) fn ringing(&self) -> BorrowedFd<'_> {
         self.ringing.as_fd()
     }
 
     /// Empties the stream of signals.
-    pub fn hush(&self) {
+    pub(crate) fn hush(&self) {
         let mut rings = [0; 64];
         while (&self.ringing).read(&mut rings).is_ok_and(|read| read > 0) {}
     }

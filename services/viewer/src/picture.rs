@@ -18,7 +18,7 @@ const CLOSEUP_QUALITY: i32 = 92;
 
 /// The reason why a frame cannot be shown.
 #[derive(Debug, thiserror::Error)]
-pub enum PictureError {
+pub(crate) enum PictureError {
     #[error("the frame is {width}x{height}, the camera {}x{}", .camera.0, .camera.1)]
     Size {
         width: u32,
@@ -35,7 +35,7 @@ pub enum PictureError {
 }
 
 /// Makes pictures of one camera's frames.
-pub struct PictureMaker {
+pub(crate) struct PictureMaker {
     camera: Camera,
     size: Size,
     /// Position in the frame of each pixel of the picture; none where the frame is equirectangular.
@@ -46,7 +46,7 @@ pub struct PictureMaker {
 
 impl PictureMaker {
     /// A maker for frames of this camera.
-    pub fn new(camera: &Camera) -> opencv::Result<Self> {
+    pub(crate) fn new(camera: &Camera) -> opencv::Result<Self> {
         // More threads of OpenCV would compete with the pipeline for processors.
         core::set_num_threads(1)?;
         let (width, height) = (camera.width(), camera.height());
@@ -68,12 +68,16 @@ impl PictureMaker {
     }
 
     /// Width and height of its pictures, pixels.
-    pub fn size(&self) -> [u32; 2] {
+    pub(crate) fn size(&self) -> [u32; 2] {
         [self.size.width, self.size.height].map(|side| side.unsigned_abs())
     }
 
     /// The picture of a frame whose header has passed the contract's check.
-    pub fn jpeg(&mut self, header: &FrameHeader, pixels: &[u8]) -> Result<&[u8], PictureError> {
+    pub(crate) fn jpeg(
+        &mut self,
+        header: &FrameHeader,
+        pixels: &[u8],
+    ) -> Result<&[u8], PictureError> {
         let camera = (self.camera.width(), self.camera.height());
         let (width, height) = (header.width, header.height);
         if camera != (width, height) {
@@ -90,7 +94,7 @@ impl PictureMaker {
     }
 
     /// The picture of a decoded frame of any size, from a recording.
-    pub fn jpeg_of_decoded(&mut self, decoded: &Mat) -> Result<&[u8], PictureError> {
+    pub(crate) fn jpeg_of_decoded(&mut self, decoded: &Mat) -> Result<&[u8], PictureError> {
         let camera = Size::new(self.camera.width() as i32, self.camera.height() as i32);
         if self.maps.is_none() || decoded.size()? == camera {
             return self.encoded(decoded);
@@ -101,7 +105,7 @@ impl PictureMaker {
     }
 
     /// Whether a picture of this size can be shown without conversion.
-    pub fn is_shown_as_is(&self, [width, height]: [u32; 2]) -> bool {
+    pub(crate) fn is_shown_as_is(&self, [width, height]: [u32; 2]) -> bool {
         self.maps.is_none() && width <= MAX_WIDTH && width == 2 * height
     }
 
@@ -159,7 +163,7 @@ fn maps(camera: &Camera, size: Size) -> opencv::Result<[Mat; 2]> {
 }
 
 /// Encodes gray pixels, `width` in a row, as a JPEG of high quality.
-pub fn gray_jpeg(pixels: &[u8], width: usize, height: usize) -> opencv::Result<Vec<u8>> {
+pub(crate) fn gray_jpeg(pixels: &[u8], width: usize, height: usize) -> opencv::Result<Vec<u8>> {
     let mat = Mat::new_rows_cols_with_data(height as i32, width as i32, pixels)?;
     let mut jpeg = Vector::new();
     encode(&mat, CLOSEUP_QUALITY, &mut jpeg)?;
@@ -167,7 +171,7 @@ pub fn gray_jpeg(pixels: &[u8], width: usize, height: usize) -> opencv::Result<V
 }
 
 /// Width and height of a JPEG from its frame header, without decoding it (ITU-T T.81, B.2.2).
-pub fn jpeg_size(jpeg: &[u8]) -> Option<[u32; 2]> {
+pub(crate) fn jpeg_size(jpeg: &[u8]) -> Option<[u32; 2]> {
     let mut rest = jpeg.strip_prefix(&[0xff, 0xd8])?;
     loop {
         let [0xff, marker, high, low, ..] = *rest else { return None };
@@ -187,7 +191,7 @@ pub fn jpeg_size(jpeg: &[u8]) -> Option<[u32; 2]> {
 ///
 /// # Errors
 /// The bytes are not a JPEG, or it is larger.
-pub fn decode(jpeg: &[u8], most: [u32; 2]) -> Result<Mat, PictureError> {
+pub(crate) fn decode(jpeg: &[u8], most: [u32; 2]) -> Result<Mat, PictureError> {
     let size = jpeg_size(jpeg).ok_or(PictureError::Recorded("it is no JPEG"))?;
     // A file of a few bytes can claim a size of gigabytes.
     if size[0] > most[0] || size[1] > most[1] || size.contains(&0) {

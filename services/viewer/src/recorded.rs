@@ -14,13 +14,13 @@
 //! | `player` | plays to one page |
 //! | `foxglove_player` | plays to Foxglove's clients |
 
-pub mod foxglove_player;
-pub mod messages;
-pub mod overview;
-pub mod pictures;
-pub mod player;
-pub mod playhead;
-pub mod tape;
+pub(crate) mod foxglove_player;
+pub(crate) mod messages;
+pub(crate) mod overview;
+pub(crate) mod pictures;
+pub(crate) mod player;
+pub(crate) mod playhead;
+pub(crate) mod tape;
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -37,7 +37,7 @@ use crate::{setting, wire};
 use messages::ContractChannels;
 
 /// A recording that is shown. It is read by reference, from several threads at once.
-pub struct Recorded {
+pub(crate) struct Recorded {
     recording: IndexedRecording,
     resolved: Resolved,
     channels: ContractChannels,
@@ -61,7 +61,7 @@ impl Recorded {
     /// # Errors
     /// The file is not a recording, is damaged at its very beginning, has no messages, or has
     /// another contract.
-    pub fn open(path: &Path, rate: f64) -> anyhow::Result<Self> {
+    pub(crate) fn open(path: &Path, rate: f64) -> anyhow::Result<Self> {
         let recording = IndexedRecording::open(path)?;
         let shown = path.display();
         let Some((first_ns, last_ns)) = recording.span_ns() else {
@@ -115,12 +115,12 @@ impl Recorded {
     }
 
     /// Seconds from the recording's beginning.
-    pub fn seconds(&self, utc_ns: u64) -> f64 {
+    pub(crate) fn seconds(&self, utc_ns: u64) -> f64 {
         utc_ns.saturating_sub(self.first_ns) as f64 * 1e-9
     }
 
     /// Time `seconds` after the recording's beginning, limited to the recording.
-    pub fn time_ns(&self, seconds: f64) -> u64 {
+    pub(crate) fn time_ns(&self, seconds: f64) -> u64 {
         // NaN gives 0, and a value that is too large gives the end.
         self.first_ns.saturating_add((seconds * 1e9) as u64).min(self.last_ns)
     }

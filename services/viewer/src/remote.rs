@@ -15,7 +15,7 @@ const MAX_SPEED: f64 = 100.0;
 
 /// A request of a page to the player of its recording.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Move {
+pub(crate) enum Move {
     /// Shows this time, seconds from the beginning.
     Seek(f64),
     /// Shows the frame this many frames on, or back if negative.
@@ -37,7 +37,7 @@ impl Move {
 
 /// Requests of one page, which its socket's thread and its player share.
 #[derive(Debug, Default)]
-pub struct Remote {
+pub(crate) struct Remote {
     state: Mutex<State>,
     changed: Condvar,
 }
@@ -52,7 +52,7 @@ struct State {
 
 impl Remote {
     /// Adds a request. A seek replaces the seek directly before it.
-    pub fn ask(&self, wish: Move) {
+    pub(crate) fn ask(&self, wish: Move) {
         let wish = wish.bounded();
         let mut state = lock(&self.state);
         let is_seek = |wish: &Move| matches!(wish, Move::Seek(_));
@@ -69,22 +69,22 @@ impl Remote {
     }
 
     /// Wakes the player after another change of the page.
-    pub fn wake(&self) {
+    pub(crate) fn wake(&self) {
         self.changed.notify_all();
     }
 
-    pub fn close(&self) {
+    pub(crate) fn close(&self) {
         lock(&self.state).is_closed = true;
         self.changed.notify_all();
     }
 
-    pub fn is_closed(&self) -> bool {
+    pub(crate) fn is_closed(&self) -> bool {
         lock(&self.state).is_closed
     }
 
     /// The next request, and the number of requests done with it. Waits at most `at_most`. None
     /// where the page is closed.
-    pub fn next(&self, at_most: Duration) -> Option<(Move, u64)> {
+    pub(crate) fn next(&self, at_most: Duration) -> Option<(Move, u64)> {
         let mut state = lock(&self.state);
         if state.wishes.is_empty() && !state.is_closed && !at_most.is_zero() {
             let waited = self.changed.wait_timeout(state, at_most);

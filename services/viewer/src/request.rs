@@ -12,13 +12,13 @@ use crate::explaining::PoseQuestion;
 use crate::files::{self, PageFile};
 
 /// Maximum length of a request's head, bytes.
-pub const MAX_HEAD: usize = 8 * 1024;
+pub(crate) const MAX_HEAD: usize = 8 * 1024;
 /// Maximum header lines of a request.
 const MAX_HEADERS: usize = 64;
 
 /// The rules for which requests are served.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Access {
+pub(crate) struct Access {
     /// The token that a socket needs, if any.
     pub token: Option<String>,
     /// Whether only this machine can connect.
@@ -27,7 +27,7 @@ pub struct Access {
 
 /// The answer to a request.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub enum HttpAnswer {
+pub(crate) enum HttpAnswer {
     /// A file of the page. `with_body`: the method is `GET` and not `HEAD`.
     File {
         file: &'static PageFile,
@@ -46,7 +46,7 @@ pub enum HttpAnswer {
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
-pub enum HttpRefusal {
+pub(crate) enum HttpRefusal {
     #[error("this is no request of HTTP/1.1")]
     Malformed,
     #[error("the head of the request is longer than {MAX_HEAD} bytes")]
@@ -72,7 +72,7 @@ pub enum HttpRefusal {
 }
 
 impl HttpRefusal {
-    pub fn status(self) -> (u16, &'static str) {
+    pub(crate) fn status(self) -> (u16, &'static str) {
         match self {
             Self::Malformed | Self::Question => (400, "Bad Request"),
             Self::Token => (401, "Unauthorized"),
@@ -89,7 +89,7 @@ impl HttpRefusal {
 
 /// The answer to the bytes received so far, and the request's length in bytes. `None`: the request
 /// is not complete.
-pub fn answer(bytes: &[u8], access: &Access) -> Option<(HttpAnswer, usize)> {
+pub(crate) fn answer(bytes: &[u8], access: &Access) -> Option<(HttpAnswer, usize)> {
     let mut headers = [httparse::EMPTY_HEADER; MAX_HEADERS];
     let mut request = httparse::Request::new(&mut headers);
     let refused = |refusal| Some((HttpAnswer::Refused(refusal), bytes.len()));
@@ -206,7 +206,7 @@ fn is_loopback_name(host: &str) -> bool {
 }
 
 /// Whether a token can be part of an address without encoding.
-pub fn is_token(token: &str) -> bool {
+pub(crate) fn is_token(token: &str) -> bool {
     (8..=128).contains(&token.len())
         && token.bytes().all(|byte| byte.is_ascii_alphanumeric() || b"-_.~".contains(&byte))
 }

@@ -34,7 +34,7 @@ const MOST_PROCESSES: usize = 64;
 
 /// The stages' messages of the frames, the swarm and the processes.
 #[derive(Debug)]
-pub struct PageScene {
+pub(crate) struct PageScene {
     is_real_time: bool,
     open: BTreeMap<FrameOrder, PartialFrame>,
     plans: VecDeque<(u64, u32, Vec<PlannedView>)>,
@@ -58,7 +58,7 @@ struct PartialFrame {
 }
 
 #[derive(Debug, Clone)]
-pub struct EndedFrame {
+pub(crate) struct EndedFrame {
     pub stamp: FrameStamp,
     /// Tracks of its neighbours, as in the contract.
     pub tracks: Vec<Track>,
@@ -69,7 +69,7 @@ pub struct EndedFrame {
 
 impl PageScene {
     /// An empty scene. `is_real_time`: whether exposures are on this machine's clock.
-    pub fn new(is_real_time: bool) -> Self {
+    pub(crate) fn new(is_real_time: bool) -> Self {
         Self {
             is_real_time,
             open: BTreeMap::new(),
@@ -82,21 +82,21 @@ impl PageScene {
         }
     }
 
-    pub fn health(&mut self, health: &Health) {
+    pub(crate) fn health(&mut self, health: &Health) {
         let process = (health.stage.to_string(), health.replica);
         if self.processes.len() < MOST_PROCESSES || self.processes.contains_key(&process) {
             self.processes.entry(process).or_insert_with(|| HealthRates::new(health)).take(health);
         }
     }
 
-    pub fn plan(&mut self, header: &PlanHeader, views: &[PlannedView]) {
+    pub(crate) fn plan(&mut self, header: &PlanHeader, views: &[PlannedView]) {
         if self.plans.len() == PLANS {
             self.plans.pop_front();
         }
         self.plans.push_back((header.plan_id, header.generation, views.to_vec()));
     }
 
-    pub fn detection(&mut self, header: &DetectionHeader, markers: &[DetectedMarker]) {
+    pub(crate) fn detection(&mut self, header: &DetectionHeader, markers: &[DetectedMarker]) {
         let frame = self.frame(&header.stamp);
         if frame.searched.len() < flockeye_contract::MAX_PLANNED_VIEWS {
             frame.searched.push((header.plan_id, header.view_index));
@@ -106,20 +106,20 @@ impl PageScene {
     }
 
     /// Takes the end of a frame's views.
-    pub fn frame_end(&mut self, end: &FrameEnd) {
+    pub(crate) fn frame_end(&mut self, end: &FrameEnd) {
         self.frame(&end.stamp).end = Some(*end);
     }
 
-    pub fn rotation(&mut self, rotation: &Rotation) {
+    pub(crate) fn rotation(&mut self, rotation: &Rotation) {
         self.frame(&rotation.stamp).turn = Some(*rotation);
     }
 
     /// Takes the truth of a simulated frame.
-    pub fn truth(&mut self, header: &TruthHeader, bodies: &[BodyTruth]) {
+    pub(crate) fn truth(&mut self, header: &TruthHeader, bodies: &[BodyTruth]) {
         self.frame(&header.stamp).truth = bodies.to_vec();
     }
 
-    pub fn sightings(&mut self, sightings: &[PeerSighting]) {
+    pub(crate) fn sightings(&mut self, sightings: &[PeerSighting]) {
         for sighting in sightings {
             let pair = (sighting.observer.to_string(), sighting.target.to_string());
             if self.sightings.len() < MOST_SIGHTINGS || self.sightings.contains_key(&pair) {
@@ -129,12 +129,12 @@ impl PageScene {
     }
 
     /// Takes the poses of all drones.
-    pub fn drones(&mut self, header: &SwarmHeader, poses: &[SwarmPose]) {
+    pub(crate) fn drones(&mut self, header: &SwarmHeader, poses: &[SwarmPose]) {
         self.drones = Some((*header, poses.to_vec()));
     }
 
     /// Takes tracks; returns the frame if these tracks end it.
-    pub fn tracks(
+    pub(crate) fn tracks(
         &mut self,
         header: &TrackHeader,
         tracks: &[Track],
@@ -153,7 +153,7 @@ impl PageScene {
     }
 
     /// Poses of the swarm's drones and their sightings of each other, if any is known.
-    pub fn swarm(
+    pub(crate) fn swarm(
         &mut self,
         now_ns: i64,
     ) -> Option<(Vec<wire::DroneSummary>, Vec<wire::SightingSummary>)> {
@@ -190,7 +190,7 @@ impl PageScene {
     }
 
     /// The reports of the stages.
-    pub fn stages(&mut self, now_ns: i64) -> Vec<wire::ProcessReport> {
+    pub(crate) fn stages(&mut self, now_ns: i64) -> Vec<wire::ProcessReport> {
         self.processes.retain(|_, rates| rates.silent_ns(now_ns) < GONE_NS);
         let stages = self.processes.iter().map(|((stage, replica), rates)| {
             let last = &rates.last;
@@ -316,7 +316,7 @@ fn track(track: &Track) -> wire::TrackSummary {
 }
 
 /// Milliseconds of capture, rectification, detection, fusion, and in total; none where unknown.
-pub fn latency_ms(latency: &StageLatency) -> [Option<f32>; 5] {
+pub(crate) fn latency_ms(latency: &StageLatency) -> [Option<f32>; 5] {
     let parts = [
         latency.capture_ns,
         latency.rectification_ns,
@@ -342,7 +342,7 @@ fn position_covariance(covariance: &[f64; 36]) -> [f32; 6] {
 }
 
 /// The name of a track's state.
-pub fn state(code: u32) -> &'static str {
+pub(crate) fn state(code: u32) -> &'static str {
     TrackState::try_from(code).map_or("unknown", TrackState::name)
 }
 

@@ -22,7 +22,7 @@ const STACK: usize = 512 * 1024;
 ///
 /// # Errors
 /// The address is in use or not this machine's, or no thread can be started.
-pub fn start(
+pub(crate) fn start(
     address: SocketAddr,
     access: Access,
     pages: Arc<Pages>,

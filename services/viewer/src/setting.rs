@@ -10,7 +10,7 @@ use nalgebra::{Isometry3, Point3};
 use crate::wire;
 
 /// The first message to a page.
-pub fn hello(resolved: &Resolved, instance: &str, rate: f64) -> wire::Hello {
+pub(crate) fn hello(resolved: &Resolved, instance: &str, rate: f64) -> wire::Hello {
     let pipeline = &resolved.pipeline;
     let tiles = |views: &[View]| views.iter().map(tile).collect();
     let runs = StageName::ALL.into_iter().filter(|stage| pipeline.runs(*stage));
@@ -31,7 +31,7 @@ pub fn hello(resolved: &Resolved, instance: &str, rate: f64) -> wire::Hello {
     }
 }
 
-pub fn pose(pose: &contract::Pose) -> wire::PagePose {
+pub(crate) fn pose(pose: &contract::Pose) -> wire::PagePose {
     wire::PagePose { p: pose.position.map(|x| x as f32), q: pose.orientation.map(|x| x as f32) }
 }
 
@@ -40,7 +40,7 @@ fn transform(isometry: &Isometry3<f64>) -> wire::PagePose {
 }
 
 /// A view in the page's format.
-pub fn tile(view: &View) -> wire::ViewSquare {
+pub(crate) fn tile(view: &View) -> wire::ViewSquare {
     let half = f64::from(view.size_px) / (2.0 * view.focal_px);
     wire::ViewSquare { q: xyzw(&view.camera_from_view).map(|x| x as f32), half: half as f32 }
 }

@@ -32,7 +32,7 @@ const LOOK_PERIOD: Duration = Duration::from_millis(50);
 const IDLE_PERIOD: Duration = Duration::from_millis(200);
 
 /// Shows one pipeline to the pages, and to Foxglove's clients.
-pub struct PipelineWatch {
+pub(crate) struct PipelineWatch {
     instance: Instance,
     audience: Audience,
     rate: f64,
@@ -46,7 +46,7 @@ pub struct PipelineWatch {
 
 impl PipelineWatch {
     /// A watch that has not read anything. `rate`: maximum pictures per second.
-    pub fn new(
+    pub(crate) fn new(
         instance: Instance,
         audience: Audience,
         rate: f64,
@@ -58,7 +58,7 @@ impl PipelineWatch {
 
     /// Shows the pipeline until the stop flag is set. Waits while no page is open or the pipeline
     /// does not run.
-    pub fn run(&mut self) {
+    pub(crate) fn run(&mut self) {
         while !self.is_stopping() {
             if !self.audience.wanted().anything {
                 self.audience.pages.wait(IDLE_PERIOD);

@@ -9,12 +9,12 @@ use tungstenite::Message;
 use crate::outbox::OutboxKind;
 
 /// Version of these messages. A page of another version must be reloaded.
-pub const PROTOCOL: u32 = 1;
+pub(crate) const PROTOCOL: u32 = 1;
 
 /// A message as text.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 #[serde(tag = "kind", rename_all = "snake_case")]
-pub enum TextMessage<'m> {
+pub(crate) enum TextMessage<'m> {
     /// The first message; it is repeated where a pipeline was restarted.
     Hello(&'m Hello),
     Frame(&'m FrameMessage),
@@ -53,7 +53,7 @@ pub enum TextMessage<'m> {
 
 impl TextMessage<'_> {
     /// The kind by which it waits for a page that follows a running pipeline.
-    pub fn kind(&self) -> OutboxKind {
+    pub(crate) fn kind(&self) -> OutboxKind {
         match self {
             Self::Hello(_) => OutboxKind::Hello,
             Self::Frame(_) => OutboxKind::Frame,
@@ -69,7 +69,7 @@ impl TextMessage<'_> {
 /// The head of a binary message; a JPEG follows it.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[serde(tag = "kind", rename_all = "snake_case")]
-pub enum BinaryHead {
+pub(crate) enum BinaryHead {
     /// A frame's picture, equirectangular.
     Picture {
         key: String,
@@ -82,7 +82,7 @@ pub enum BinaryHead {
 
 /// The page's first message.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Hello {
+pub(crate) struct Hello {
     /// [`PROTOCOL`].
     pub protocol: u32,
     /// Name of the pipeline.
@@ -112,7 +112,7 @@ pub struct Hello {
 }
 
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct RecordingSummary {
+pub(crate) struct RecordingSummary {
     pub file: String,
     /// Start time, UTC seconds since 1970.
     pub began_s: f64,
@@ -124,7 +124,7 @@ pub struct RecordingSummary {
 
 /// A pose `a_from_b`.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct PagePose {
+pub(crate) struct PagePose {
     /// Position, metres.
     pub p: [f32; 3],
     /// Unit quaternion x, y, z, w.
@@ -133,7 +133,7 @@ pub struct PagePose {
 
 /// A square pinhole view.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct ViewSquare {
+pub(crate) struct ViewSquare {
     /// `camera_from_view`: unit quaternion x, y, z, w.
     pub q: [f32; 4],
     /// Half of its width, at distance 1 along its axis.
@@ -141,7 +141,7 @@ pub struct ViewSquare {
 }
 
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct PageBody {
+pub(crate) struct PageBody {
     pub name: String,
     /// Pose of the markers' frame in the drone's frame.
     pub target_from_markers: PagePose,
@@ -151,7 +151,7 @@ pub struct PageBody {
 }
 
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct PageMarker {
+pub(crate) struct PageMarker {
     /// Its number in the dictionary.
     pub id: u32,
     /// Corners of the black square in the markers' frame, metres.
@@ -159,7 +159,7 @@ pub struct PageMarker {
 }
 
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct FrameMessage {
+pub(crate) struct FrameMessage {
     /// The frame's key: see [`key`].
     pub key: String,
     /// Its number in its epoch.
@@ -190,14 +190,14 @@ pub struct FrameMessage {
 }
 
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct RegionView {
+pub(crate) struct RegionView {
     /// Number of the body that it was cut for.
     pub target: u32,
     pub view: ViewSquare,
 }
 
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Detected {
+pub(crate) struct Detected {
     /// Its number in the dictionary.
     pub id: u32,
     /// Whether the marker was not decoded, and only resembles this one.
@@ -208,7 +208,7 @@ pub struct Detected {
 
 /// A neighbour in a frame.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct TrackSummary {
+pub(crate) struct TrackSummary {
     /// Number of its body.
     pub target: u32,
     pub name: String,
@@ -237,7 +237,7 @@ pub struct TrackSummary {
 
 /// True pose of a simulated neighbour.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Truth {
+pub(crate) struct Truth {
     /// Number of its body.
     pub target: u32,
     /// `observer_from_target`.
@@ -245,7 +245,7 @@ pub struct Truth {
 }
 
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct ProcessReport {
+pub(crate) struct ProcessReport {
     pub stage: String,
     /// Number of the worker.
     pub replica: u32,
@@ -273,7 +273,7 @@ pub struct ProcessReport {
 
 /// Pose of a drone of the swarm.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct DroneSummary {
+pub(crate) struct DroneSummary {
     pub name: String,
     /// Pose in this drone's frame.
     pub pose: PagePose,
@@ -289,7 +289,7 @@ pub struct DroneSummary {
 
 /// A peer's sighting of another drone.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct SightingSummary {
+pub(crate) struct SightingSummary {
     pub observer: String,
     pub target: String,
     pub state: &'static str,
@@ -300,7 +300,7 @@ pub struct SightingSummary {
 
 /// An overview of a recording: its time in equal parts, each with its worst values.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
-pub struct Overview {
+pub(crate) struct Overview {
     /// Share of the recording that has been read, 0 to 1.
     pub done: f32,
     /// Latency of the slowest neighbour, as in [`TrackSummary`]; absent where there is none.
@@ -316,7 +316,7 @@ pub struct Overview {
 
 /// States of a neighbour's track over a recording.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct TargetStates {
+pub(crate) struct TargetStates {
     /// Number of its body.
     pub target: u32,
     /// The worst state in each part of the recording; absent where there is none.
@@ -325,7 +325,7 @@ pub struct TargetStates {
 
 /// Missing messages of a topic.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct TopicLoss {
+pub(crate) struct TopicLoss {
     pub topic: String,
     pub recorded: u64,
     /// Messages that are, or may be, missing.
@@ -333,7 +333,7 @@ pub struct TopicLoss {
 }
 
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct CloseupHead {
+pub(crate) struct CloseupHead {
     pub key: String,
     /// Number of the body.
     pub target: u32,
@@ -347,7 +347,7 @@ pub struct CloseupHead {
 
 /// Agreement of the picture and the model.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Likeness {
+pub(crate) struct Likeness {
     /// Mean normalized correlation of the cells.
     pub correlation: f32,
     /// Log odds that the body is there, from the pixels alone.
@@ -357,18 +357,18 @@ pub struct Likeness {
 }
 
 /// The key of a frame: generation of the source, epoch, sequence.
-pub fn key(stamp: &FrameStamp) -> String {
+pub(crate) fn key(stamp: &FrameStamp) -> String {
     format!("{}.{}.{}", stamp.source_generation, stamp.epoch, stamp.sequence)
 }
 
 /// Encodes a text message.
-pub fn text(message: &TextMessage<'_>) -> Message {
+pub(crate) fn text(message: &TextMessage<'_>) -> Message {
     // All map keys in these types are strings, so a JSON form always exists.
     Message::text(serde_json::to_string(message).unwrap_or_default())
 }
 
 /// A binary message: the length of the head (4 bytes, little endian), the head as JSON, the JPEG.
-pub fn binary(head: &BinaryHead, jpeg: &[u8]) -> Message {
+pub(crate) fn binary(head: &BinaryHead, jpeg: &[u8]) -> Message {
     // The head always has a JSON form, as above.
     let head = serde_json::to_vec(head).unwrap_or_default();
     let length = u32::try_from(head.len()).unwrap_or(0).to_le_bytes();

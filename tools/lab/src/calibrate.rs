@@ -20,16 +20,16 @@ use serde_json::Value;
 
 use crate::up_process;
 
-pub mod body;
-pub mod imu;
-pub mod latency;
-pub mod lenses;
-pub mod mount;
-pub mod response;
+pub(crate) mod body;
+pub(crate) mod imu;
+pub(crate) mod latency;
+pub(crate) mod lenses;
+pub(crate) mod mount;
+pub(crate) mod response;
 
-pub use imu::CalibrateImuArguments;
-pub use mount::CalibrateMountArguments;
-pub use response::CalibrateResponseArguments;
+pub(crate) use imu::CalibrateImuArguments;
+pub(crate) use mount::CalibrateMountArguments;
+pub(crate) use response::CalibrateResponseArguments;
 
 /// Distance for which the remaining error of a calibration is stated, metres.
 const STATED_AT_M: f64 = 1.5;

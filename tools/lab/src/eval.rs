@@ -16,7 +16,7 @@ use crate::report;
 
 /// Arguments of `eval`.
 #[derive(Debug, Args)]
-pub struct EvalArguments {
+pub(crate) struct EvalArguments {
     /// The recorded poses.
     #[arg(
         long,
@@ -48,7 +48,7 @@ pub struct EvalArguments {
 /// # Errors
 /// A file cannot be read or is invalid, the files have no frame in common, or the report cannot be
 /// written.
-pub fn run(arguments: &EvalArguments) -> anyhow::Result<()> {
+pub(crate) fn run(arguments: &EvalArguments) -> anyhow::Result<()> {
     let truth: Vec<TruthRow> = match &arguments.truth {
         Some(file) => {
             let truth = read(file)?;

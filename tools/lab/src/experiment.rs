@@ -19,7 +19,7 @@ use detectors::DetectorsArguments;
 
 /// The experiments.
 #[derive(Debug, Subcommand)]
-pub enum ExperimentKind {
+pub(crate) enum ExperimentKind {
     /// The paper's Table I: 6, 12 and 24 views, with its partitions and ours.
     Partitions(ComparisonArguments),
     /// The paper's Table II: how a frame is searched, its two ways and ours.
@@ -34,7 +34,7 @@ pub enum ExperimentKind {
 ///
 /// # Errors
 /// The configuration is wrong, there is no truth, or a flight fails.
-pub fn run(kind: &ExperimentKind) -> anyhow::Result<()> {
+pub(crate) fn run(kind: &ExperimentKind) -> anyhow::Result<()> {
     match kind {
         ExperimentKind::Partitions(arguments) => show(&partitions::run(arguments)?, arguments.json),
         ExperimentKind::Search(arguments) => show(&search::run(arguments)?, arguments.json),

@@ -18,7 +18,7 @@ use page::{Paper, PaperDrawing};
 
 /// Arguments of `markers`.
 #[derive(Debug, Args)]
-pub struct MarkersArguments {
+pub(crate) struct MarkersArguments {
     /// Which configuration: the bodies and their dictionary are taken from it.
     #[command(flatten)]
     pub configuration: Configuration,
@@ -38,7 +38,7 @@ pub struct MarkersArguments {
 /// # Errors
 /// The configuration is wrong, the body is unknown, a facet is larger than the paper, or a file
 /// cannot be written.
-pub fn run(arguments: &MarkersArguments) -> anyhow::Result<()> {
+pub(crate) fn run(arguments: &MarkersArguments) -> anyhow::Result<()> {
     let bodies = flockeye_config::bodies(&arguments.configuration.load()?.bodies)?;
     let dictionary = Dictionary::of(&bodies)?;
     let body = bodies.iter().find(|body| body.name == arguments.body).with_context(|| {

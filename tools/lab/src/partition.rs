@@ -5,7 +5,7 @@
 mod arguments;
 mod figure;
 mod picture;
-pub mod table;
+pub(crate) mod table;
 
 use std::path::Path;
 use std::time::Instant;
@@ -14,11 +14,11 @@ use anyhow::Context;
 use flockeye_cli::Screen;
 use flockeye_geometry::partition::{Partition, PartitionError};
 
-pub use arguments::PartitionArguments;
+pub(crate) use arguments::PartitionArguments;
 use table::PartitionTable;
 
 /// Prints the table, and writes the requested drawings.
-pub fn run(arguments: &PartitionArguments) -> anyhow::Result<()> {
+pub(crate) fn run(arguments: &PartitionArguments) -> anyhow::Result<()> {
     let partitions = arguments.counts.iter().map(|&count| find(arguments, count));
     let partitions = partitions.collect::<Result<Vec<_>, _>>()?;
     let table = PartitionTable::of(arguments, &partitions)?;

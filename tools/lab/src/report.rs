@@ -19,7 +19,7 @@ const MOST_POINTS: usize = 2_000;
 
 /// Writes `index.html` into a folder, which is created if necessary, and returns its path. `source`
 /// describes the compared files.
-pub fn write(
+pub(crate) fn write(
     folder: &Path,
     source: &str,
     evaluation: &Evaluation,

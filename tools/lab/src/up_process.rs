@@ -22,7 +22,7 @@ const ERROR_PREFIX: &str = "flockeye: ";
 ///
 /// # Errors
 /// The program cannot be started, or it fails. Its own message is then on the terminal.
-pub fn run_visibly(arguments: &[OsString], stopping: &AtomicBool) -> anyhow::Result<()> {
+pub(crate) fn run_visibly(arguments: &[OsString], stopping: &AtomicBool) -> anyhow::Result<()> {
     let mut child = start(arguments, Stdio::inherit, Stdio::inherit)?;
     let status = wait(&mut child, stopping)?;
     if status.success() {
@@ -35,7 +35,7 @@ pub fn run_visibly(arguments: &[OsString], stopping: &AtomicBool) -> anyhow::Res
 ///
 /// # Errors
 /// The program cannot be started, or it fails. The error contains its log, `what` and its reason.
-pub fn run_quietly(
+pub(crate) fn run_quietly(
     what: &str,
     arguments: &[OsString],
     stopping: &AtomicBool,

@@ -2,7 +2,7 @@
 
 use flockeye_fusion::{PoseMeasurement, Record};
 
-pub use self::scene::*;
+pub(crate) use self::scene::*;
 
 #[path = "../../../services/fusion/tests/scene/mod.rs"]
 mod scene;

@@ -17,14 +17,14 @@ use crate::recorded::{FlightMessage, RecordedPixels, contract_message};
 const DELAY_NS: i64 = 20_000_000;
 
 /// Recorded messages, each with its time of recording, nanoseconds.
-pub type Recording = Vec<(FlightMessage, u64)>;
+pub(crate) type Recording = Vec<(FlightMessage, u64)>;
 
-pub fn resolved() -> Resolved {
+pub(crate) fn resolved() -> Resolved {
     Resolved::of(Pipeline::parse("", &[], "a test").unwrap()).unwrap()
 }
 
 /// Fusion in flight, driven as in its stage, and its recording.
-pub struct Flown {
+pub(crate) struct Flown {
     core: Core<RecordedPixels>,
     writer: Writer,
     background: BackgroundRunner,
@@ -142,7 +142,7 @@ fn rotation(sequence: u64, turn: f64) -> Rotation {
 }
 
 /// Alpha is found and followed.
-pub fn flown() -> Recording {
+pub(crate) fn flown() -> Recording {
     static FLOWN: OnceLock<Recording> = OnceLock::new();
     FLOWN.get_or_init(|| followed().recording).clone()
 }
@@ -157,7 +157,7 @@ fn followed() -> Flown {
 
 /// Alpha is followed, but not seen in frame 5. A background pass searches for it, and its answer
 /// comes during frame 6.
-pub fn flown_on() -> Recording {
+pub(crate) fn flown_on() -> Recording {
     continued().recording
 }
 
@@ -179,7 +179,7 @@ fn continued() -> Flown {
 }
 
 /// The same flight, with the decisions about alpha.
-pub fn flown_on_with_account() -> (Recording, Vec<(FrameOrder, AccountEntry)>) {
+pub(crate) fn flown_on_with_account() -> (Recording, Vec<(FrameOrder, AccountEntry)>) {
     let mut flown = continued();
     let account = flown.core.take_account();
     (flown.recording, account)

@@ -24,12 +24,12 @@ use flockeye_recording::{
 use flockeye_fusion::Record;
 
 /// The pixels of a recorded view.
-pub type RecordedPixels = Arc<[u8]>;
+pub(crate) type RecordedPixels = Arc<[u8]>;
 
 /// A message of a recorded flight.
 #[derive(Debug, Clone)]
 #[allow(clippy::large_enum_variant, reason = "one at a time, on the stack")]
-pub enum FlightMessage {
+pub(crate) enum FlightMessage {
     /// A frame, without its pixels.
     Frame(FrameHeader),
     /// The header of a view. Its pixels are not recorded, or follow with [`FlightMessage::View`].
@@ -52,10 +52,10 @@ pub enum FlightMessage {
 }
 
 /// Topics of which messages are missing, or may be missing, with their number.
-pub type LostMessages = Vec<(String, u64)>;
+pub(crate) type LostMessages = Vec<(String, u64)>;
 
 /// A recording that is being read, with all its files if it was split.
-pub struct RecordedFlight {
+pub(crate) struct RecordedFlight {
     reader: RecordingReader,
     layouts: Vec<TopicLayout>,
     /// The header of a view whose pixels come next, and its sequence number.
@@ -65,28 +65,28 @@ pub struct RecordedFlight {
 
 impl RecordedFlight {
     /// Opens a recording.
-    pub fn open(path: &Path) -> anyhow::Result<Self> {
+    pub(crate) fn open(path: &Path) -> anyhow::Result<Self> {
         let reader = RecordingReader::open(path)?;
         Ok(Self { reader, layouts: layouts(), view: None, lost: BTreeMap::new() })
     }
 
     /// The end of the recording, after it was read completely.
-    pub fn ending(&self) -> Option<Ending> {
+    pub(crate) fn ending(&self) -> Option<Ending> {
         self.reader.ending()
     }
 
     /// A number from the metadata of the recording.
-    pub fn number(&self, name: &str) -> Option<i64> {
+    pub(crate) fn number(&self, name: &str) -> Option<i64> {
         self.reader.about().metadata.get(name)?.parse().ok()
     }
 
     /// The flow of the recorded pipeline.
-    pub fn flow(&self) -> Option<&str> {
+    pub(crate) fn flow(&self) -> Option<&str> {
         self.reader.about().metadata.get("flow").map(String::as_str)
     }
 
     /// Messages that are missing, as far as the recording was read.
-    pub fn lost(&self) -> LostMessages {
+    pub(crate) fn lost(&self) -> LostMessages {
         let lost = self.lost.iter().filter(|(_, messages)| **messages > 0);
         lost.map(|(topic, &messages)| (topic.clone(), messages)).collect()
     }
@@ -102,7 +102,7 @@ impl RecordedFlight {
     ///
     /// # Errors
     /// The configuration is missing, or is not valid any more.
-    pub fn configuration(&self) -> anyhow::Result<Resolved> {
+    pub(crate) fn configuration(&self) -> anyhow::Result<Resolved> {
         let name = "pipeline.json";
         let json = self.attachment(name).with_context(|| format!("the recording has no {name}"))?;
         let pipeline =
@@ -139,7 +139,7 @@ impl RecordedFlight {
     ///
     /// # Errors
     /// The recording is damaged, or a message breaks the contract because the file was changed.
-    pub fn next_message(&mut self) -> anyhow::Result<Option<(FlightMessage, u64)>> {
+    pub(crate) fn next_message(&mut self) -> anyhow::Result<Option<(FlightMessage, u64)>> {
         loop {
             while let Some(message) = self.reader.next_message()? {
                 let utc_ns = message.utc_ns;
@@ -260,7 +260,7 @@ fn refuse_if_wrong<T: Topic>(header: &T::Header, items: &[T::Item]) -> anyhow::R
 }
 
 /// A copy of a message outside of shared memory.
-pub fn contract_message<H: Pod, I: Pod>(header: &H, items: &[I]) -> ContractMessage {
+pub(crate) fn contract_message<H: Pod, I: Pod>(header: &H, items: &[I]) -> ContractMessage {
     ContractMessage {
         header: bytemuck::bytes_of(header).to_vec(),
         items: bytemuck::cast_slice(items).to_vec(),
@@ -269,7 +269,7 @@ pub fn contract_message<H: Pod, I: Pod>(header: &H, items: &[I]) -> ContractMess
 }
 
 /// A message's header.
-pub fn header<H: AnyBitPattern>(message: &ContractMessage) -> H {
+pub(crate) fn header<H: AnyBitPattern>(message: &ContractMessage) -> H {
     // `decode` returns a header of the type's size.
     pod_read_unaligned(&message.header)
 }

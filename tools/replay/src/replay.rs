@@ -18,7 +18,7 @@ use flockeye_config::Resolved;
 use flockeye_contract::{FrameOrder, JournalEntry, JournalKind, PlanHeader, TrackHeader};
 use flockeye_recording::Ending;
 
-pub use self::script::{NO_JOURNAL, names_message};
+pub(crate) use self::script::{NO_JOURNAL, names_message};
 
 use self::compared::MessageComparison;
 use self::script::{NextCall, Script};
@@ -30,7 +30,7 @@ use flockeye_fusion::{Core, Event, Outputs};
 
 /// The result of a replay.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub struct ReplayReport {
+pub(crate) struct ReplayReport {
     /// Number of frames that ended.
     pub frames: u64,
     /// Number of compared messages.
@@ -54,7 +54,7 @@ pub struct ReplayReport {
 /// # Errors
 /// The recording has no journal from fusion's beginning, or no pixels, or its configuration is not
 /// valid any more.
-pub fn replay(path: &Path) -> anyhow::Result<ReplayReport> {
+pub(crate) fn replay(path: &Path) -> anyhow::Result<ReplayReport> {
     let mut recorded = RecordedFlight::open(path)?;
     let resolved = recorded.configuration()?;
     let mut replay = FusionReplay::new(&resolved)?;
@@ -67,7 +67,7 @@ pub fn replay(path: &Path) -> anyhow::Result<ReplayReport> {
 }
 
 /// Replays a recording and prints the result. Returns whether all compared messages are equal.
-pub fn report(path: &Path) -> anyhow::Result<bool> {
+pub(crate) fn report(path: &Path) -> anyhow::Result<bool> {
     let replayed = replay(path)?;
     print!("{replayed}");
     Ok(replayed.difference.is_none())
@@ -115,7 +115,7 @@ fn said(lost: &[(String, u64)]) -> String {
 }
 
 /// The core of fusion, with the messages that it received.
-pub struct FusionReplay {
+pub(crate) struct FusionReplay {
     core: Core<RecordedPixels>,
     writer: Writer,
     background: Option<BackgroundRunner>,
@@ -132,7 +132,7 @@ pub struct FusionReplay {
 
 impl FusionReplay {
     /// Begins before the first message.
-    pub fn new(resolved: &Resolved) -> anyhow::Result<Self> {
+    pub(crate) fn new(resolved: &Resolved) -> anyhow::Result<Self> {
         let (core, writer, aligner) = configured(resolved, 0)?;
         Ok(Self {
             core,
@@ -148,33 +148,33 @@ impl FusionReplay {
     }
 
     /// The core. Callers may let it keep its decisions.
-    pub fn core(&mut self) -> &mut Core<RecordedPixels> {
+    pub(crate) fn core(&mut self) -> &mut Core<RecordedPixels> {
         &mut self.core
     }
 
     /// The result so far.
-    pub fn so_far(&self) -> &ReplayReport {
+    pub(crate) fn so_far(&self) -> &ReplayReport {
         &self.replayed
     }
 
     /// Whether the recording has a journal, as far as it was read.
-    pub fn has_journal(&self) -> bool {
+    pub(crate) fn has_journal(&self) -> bool {
         self.script.has_begun()
     }
 
     /// Whether the comparison continues, without a difference so far.
-    pub fn is_under_way(&self) -> bool {
+    pub(crate) fn is_under_way(&self) -> bool {
         self.replayed.difference.is_none() && self.replayed.end.is_none()
     }
 
     /// Whether the core has ended a frame, and all its messages were compared.
-    pub fn has_ended(&self, order: FrameOrder) -> bool {
+    pub(crate) fn has_ended(&self, order: FrameOrder) -> bool {
         self.ended >= Some(order) && self.compared.is_done()
     }
 
     /// Takes a message of the recording. `before` is called before each entry of the journal that
     /// is executed.
-    pub fn on(
+    pub(crate) fn on(
         &mut self,
         message: FlightMessage,
         utc_ns: u64,
@@ -224,7 +224,7 @@ impl FusionReplay {
     }
 
     /// Ends the replay at the end of the recording. `is_whole`: the recording was not cut off.
-    pub fn finish(mut self, is_whole: bool) -> anyhow::Result<ReplayReport> {
+    pub(crate) fn finish(mut self, is_whole: bool) -> anyhow::Result<ReplayReport> {
         if self.is_under_way() {
             if is_whole {
                 self.needs_no_pixels()?;

@@ -12,8 +12,6 @@
 //! | `fleet` | pipelines that are processes of their own |
 //! | `dice` | random numbers that are the same in each run |
 
-#![warn(unreachable_pub)]
-
 mod chaos;
 pub mod commands;
 mod conformance;

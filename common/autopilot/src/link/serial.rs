@@ -18,7 +18,7 @@ use rustix::termios::{ControlModes, OptionalActions, ioctl_tiocexcl, tcgetattr, 
 use super::patience::{TIMEOUT, is_timeout};
 
 /// The receiving half of the line.
-pub type SerialReader = MavlinkReader<OneRead<Port>>;
+pub(super) type SerialReader = MavlinkReader<OneRead<Port>>;
 
 /// Opens a device exclusively. The halves receive and send.
 pub(super) fn open(device: &str, baud: u32) -> io::Result<(SerialReader, Port)> {

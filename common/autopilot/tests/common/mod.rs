@@ -6,7 +6,7 @@ use flockeye_autopilot::NeighbourState;
 use nalgebra::{Isometry3, Matrix6, Translation3, UnitQuaternion};
 
 /// Two metres ahead, one to the left, half a metre above, turned to the left by half a radian.
-pub fn neighbour(name: &str, exposure_monotonic_ns: i64) -> NeighbourState {
+pub(crate) fn neighbour(name: &str, exposure_monotonic_ns: i64) -> NeighbourState {
     NeighbourState {
         name: name.into(),
         observer_from_target: Isometry3::from_parts(
@@ -21,6 +21,6 @@ pub fn neighbour(name: &str, exposure_monotonic_ns: i64) -> NeighbourState {
 
 /// Microseconds of UTC.
 #[allow(dead_code)]
-pub fn utc_us() -> i64 {
+pub(crate) fn utc_us() -> i64 {
     SystemTime::now().duration_since(UNIX_EPOCH).unwrap().as_micros() as i64
 }

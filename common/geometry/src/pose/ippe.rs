@@ -17,7 +17,7 @@ use crate::Ray;
 ///
 /// Seen frontally, both are nearly the same. `None` for rays that are no picture of a square: more
 /// than 80 degrees from their mean, on a line, or crossed.
-pub fn poses_of_square(side: f64, rays: &[Vector3<f64>; 4]) -> Option<[Isometry3<f64>; 2]> {
+pub(super) fn poses_of_square(side: f64, rays: &[Vector3<f64>; 4]) -> Option<[Isometry3<f64>; 2]> {
     // In a frame whose z axis is the rays' mean they are points of a picture, for any direction in
     // the camera frame.
     let mean = rays.iter().sum::<Vector3<f64>>().try_normalize(1e-6)?;

@@ -54,11 +54,11 @@ pub(super) struct Scene<'p> {
 pub(super) type FacetShares = ([(usize, f64, f64); MAX_FACETS], usize);
 
 impl<'p> Scene<'p> {
-    pub fn new(print: &'p BodyPrint, state: &State, patch: &Patch) -> Self {
+    pub(super) fn new(print: &'p BodyPrint, state: &State, patch: &Patch) -> Self {
         Self::of(print, state, &patch.pinhole, patch.extra_blur_px, patch.code_bend)
     }
 
-    pub fn of(
+    pub(super) fn of(
         print: &'p BodyPrint,
         state: &State,
         pinhole: &Pinhole,
@@ -82,12 +82,12 @@ impl<'p> Scene<'p> {
 
     /// The facet, if it faces the camera.
     #[inline]
-    pub fn facet(&self, index: usize) -> Option<(&VisibleFacet, &BlurredFacet<'p>)> {
+    pub(super) fn facet(&self, index: usize) -> Option<(&VisibleFacet, &BlurredFacet<'p>)> {
         Some((self.visible[index].as_ref()?, self.blurred[index].as_ref()?))
     }
 
     /// Shares of white and black of the `facets` that face the camera, in the pixel at `direction`.
-    pub fn shares(
+    pub(super) fn shares(
         &self,
         facets: impl Iterator<Item = usize>,
         direction: &Vector3<f64>,
@@ -123,12 +123,12 @@ pub(super) struct Modelled {
 
 impl Modelled {
     /// Facet, derivative by its white level, derivative by its black level.
-    pub fn levels(&self) -> &[(usize, f64, f64)] {
+    pub(super) fn levels(&self) -> &[(usize, f64, f64)] {
         &self.by_levels[..self.level_count]
     }
 
     /// Seam, derivative by its radiance.
-    pub fn seams(&self) -> &[(usize, f64)] {
+    pub(super) fn seams(&self) -> &[(usize, f64)] {
         &self.by_seams[..self.seam_count]
     }
 }

@@ -92,7 +92,7 @@ impl<const ROW: usize> Block<ROW> {
 
 impl SampleSet {
     /// Sums the normal equations at a state.
-    pub fn sum(&self, patch: &Patch, scene: &Scene<'_>, state: &State) -> PoseEquations {
+    pub(super) fn sum(&self, patch: &Patch, scene: &Scene<'_>, state: &State) -> PoseEquations {
         #[cfg(target_arch = "x86_64")]
         if std::arch::is_x86_feature_detected!("avx2") {
             // SAFETY: the line above checked that the processor has AVX2.

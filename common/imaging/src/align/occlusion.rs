@@ -29,12 +29,12 @@ pub(super) struct Occlusion {
 
 impl Occlusion {
     /// An occlusion of these facets, and of no pixels.
-    pub fn of_facets(facets: &[bool]) -> Self {
+    pub(super) fn of_facets(facets: &[bool]) -> Self {
         Self { pixels: Vec::new(), width: 0, facets: facets.to_vec(), visible_share: 1.0 }
     }
 
     /// Adds the pixels with large `residuals` at `state`, and those next to them.
-    pub fn add_pixels(
+    pub(super) fn add_pixels(
         &mut self,
         patch: &Patch,
         state: &State,
@@ -63,12 +63,12 @@ impl Occlusion {
     }
 
     /// Whether any single pixels are left out.
-    pub fn has_pixels(&self) -> bool {
+    pub(super) fn has_pixels(&self) -> bool {
         !self.pixels.is_empty()
     }
 
     /// Whether nothing is left out.
-    pub fn is_empty(&self) -> bool {
+    pub(super) fn is_empty(&self) -> bool {
         self.pixels.is_empty() && self.facets.is_empty()
     }
 
@@ -80,7 +80,7 @@ impl Occlusion {
 
     /// Whether a sample is left out, as a pixel or because it shows an occluded facet.
     #[inline]
-    pub fn contains(&self, sample: &Sample) -> bool {
+    pub(super) fn contains(&self, sample: &Sample) -> bool {
         self.has_pixel(sample)
             || (!self.facets.is_empty() && sample.facets().any(|facet| self.facets[facet]))
     }

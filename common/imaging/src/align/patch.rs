@@ -70,7 +70,7 @@ impl Patch {
     ///
     /// Blocks of the view's pixels are averaged (see [`block_side`]). `None` where the view does
     /// not show the middle of the body.
-    pub fn cut(
+    pub(super) fn cut(
         picture: &Picture<'_>,
         camera_from_markers: &Isometry3<f64>,
         radius_m: f64,
@@ -150,25 +150,25 @@ impl Patch {
 
     /// The radiance of a pixel; a lower bound where it is saturated.
     #[inline]
-    pub fn at(&self, x: usize, y: usize) -> f32 {
+    pub(super) fn at(&self, x: usize, y: usize) -> f32 {
         self.radiance[y * self.width + x]
     }
 
     /// Whether the radiance of a pixel may exceed the stated value.
     #[inline]
-    pub fn is_saturated(&self, x: usize, y: usize) -> bool {
+    pub(super) fn is_saturated(&self, x: usize, y: usize) -> bool {
         self.saturated[y * self.width + x]
     }
 
     /// The share of the pixels that are saturated.
-    pub fn saturated_share(&self) -> f64 {
+    pub(super) fn saturated_share(&self) -> f64 {
         let count = self.saturated.iter().filter(|saturated| **saturated).count();
         count as f64 / self.saturated.len() as f64
     }
 
     /// The radiance between pixels, interpolated linearly; outside the patch, that of its rim.
     #[inline]
-    pub fn between(&self, at: Vector2<f64>) -> f32 {
+    pub(super) fn between(&self, at: Vector2<f64>) -> f32 {
         let within = |at: f64, size: usize| {
             let at = at.clamp(0.0, (size - 1) as f64);
             let low = (at as usize).min(size.saturating_sub(2));
@@ -181,13 +181,13 @@ impl Patch {
     }
 
     /// The radiance of the pixel nearest to a point, at the rim for points outside.
-    pub fn nearest(&self, x: f64, y: f64) -> f32 {
+    pub(super) fn nearest(&self, x: f64, y: f64) -> f32 {
         let within = |at: f64, size: usize| (at.round().max(0.0) as usize).min(size - 1);
         self.at(within(x, self.width), within(y, self.height))
     }
 
     /// The patch blurred by a Gaussian of this deviation. The same pixels stay saturated.
-    pub fn blurred(&self, sigma_px: f64) -> Self {
+    pub(super) fn blurred(&self, sigma_px: f64) -> Self {
         let radiance = smoothed(&self.radiance, self.width, self.height, sigma_px);
         Self { radiance, extra_blur_px: sigma_px, ..self.clone() }
     }

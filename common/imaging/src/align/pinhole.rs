@@ -12,12 +12,12 @@ pub(super) struct Pinhole {
 impl Pinhole {
     /// The direction of pixel `at`, scaled to depth 1.
     #[inline]
-    pub fn direction(&self, at: Vector2<f64>) -> Vector3<f64> {
+    pub(super) fn direction(&self, at: Vector2<f64>) -> Vector3<f64> {
         ((at - self.centre_px) / self.focal_px).push(1.0)
     }
 
     /// The pixel of `point`; `None` behind the camera or next to it.
-    pub fn project(&self, point: &Vector3<f64>) -> Option<Vector2<f64>> {
+    pub(super) fn project(&self, point: &Vector3<f64>) -> Option<Vector2<f64>> {
         (point.z > 1e-3).then(|| point.xy() / point.z * self.focal_px + self.centre_px)
     }
 }

@@ -51,7 +51,7 @@ pub(super) struct MEstimator {
 
 impl MEstimator {
     /// Adds a residual, in standard deviations, and returns its influence psi.
-    pub fn add(&mut self, sigmas: f64) -> f64 {
+    pub(super) fn add(&mut self, sigmas: f64) -> f64 {
         let term = cauchy_term(sigmas.powi(2));
         let weight = 1.0 / (1.0 + term);
         let influence = weight * sigmas;
@@ -63,7 +63,7 @@ impl MEstimator {
     }
 
     /// The factor of the inverse normal matrix. `None` where most residuals are outliers.
-    pub fn factor(&self) -> Option<f64> {
+    pub(super) fn factor(&self) -> Option<f64> {
         let is_determined = self.slopes > MIN_INFLUENCE_SLOPE * self.weights;
         is_determined.then(|| self.squares * self.weights / self.slopes.powi(2))
     }

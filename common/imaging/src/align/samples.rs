@@ -56,25 +56,25 @@ impl Sample {
     /// Residual of the pixel: its radiance less the model's. `None` for a saturated pixel that is
     /// consistent with its model.
     #[inline(always)]
-    pub fn counted(&self, residual: f64) -> Option<f64> {
+    pub(super) fn counted(&self, residual: f64) -> Option<f64> {
         (!self.is_saturated || residual > 0.0).then_some(residual)
     }
 
     /// Direction of the pixel, scaled to depth 1.
     #[inline]
-    pub fn direction(&self, patch: &Patch) -> Vector3<f64> {
+    pub(super) fn direction(&self, patch: &Patch) -> Vector3<f64> {
         patch.pinhole.direction(Vector2::new(f64::from(self.x), f64::from(self.y)))
     }
 
     /// Whether no edge is within reach.
     #[inline]
-    pub fn is_inside(&self) -> bool {
+    pub(super) fn is_inside(&self) -> bool {
         self.edges == [NONE; 2]
     }
 
     /// Edges of its facet within reach, and the number of the seam along each.
     #[inline]
-    pub fn seams(&self, print: &BodyPrint) -> impl Iterator<Item = (usize, usize)> {
+    pub(super) fn seams(&self, print: &BodyPrint) -> impl Iterator<Item = (usize, usize)> {
         let neighbours = &print.facets[usize::from(self.facet)].neighbours;
         let edges = self.edges.into_iter().filter(|&edge| edge != NONE).map(usize::from);
         edges.filter_map(|edge| Some((edge, neighbours[edge]?.1)))
@@ -82,13 +82,13 @@ impl Sample {
 
     /// A key that is equal for samples of the same facets.
     #[inline]
-    pub fn shows(&self) -> [u8; 3] {
+    pub(super) fn shows(&self) -> [u8; 3] {
         [self.facet, self.edges[0], self.edges[1]]
     }
 
     /// The facets that show in it.
     #[inline]
-    pub fn facets(&self) -> impl Iterator<Item = usize> {
+    pub(super) fn facets(&self) -> impl Iterator<Item = usize> {
         let neighbours = self.neighbours.into_iter().filter(|&facet| facet != NONE);
         std::iter::once(self.facet).chain(neighbours).map(usize::from)
     }

@@ -63,7 +63,11 @@ pub(super) struct State {
 impl State {
     /// Creates the state of a body at a pose with the expected point spread. Its white and black
     /// levels are not known yet.
-    pub fn new(print: &BodyPrint, patch_from_markers: Isometry3<f64>, prior: &Prior) -> Self {
+    pub(super) fn new(
+        print: &BodyPrint,
+        patch_from_markers: Isometry3<f64>,
+        prior: &Prior,
+    ) -> Self {
         Self {
             patch_from_markers,
             even_path_px: prior.even_path_px,
@@ -96,7 +100,7 @@ impl Prior {
     ///
     /// A short path of length d blurs along itself like a Gaussian of variance d^2 / 12; a long one
     /// is modelled as it is ([`PATH_OFFSET`]).
-    pub fn new(
+    pub(super) fn new(
         lens_px: f64,
         path_px: Vector2<f64>,
         motion: Option<Unit<Vector2<f64>>>,
@@ -113,7 +117,7 @@ impl Prior {
 
     /// Variance of a point spread along the motion, less that across it, pixels of the sphere image
     /// squared.
-    pub fn stretch_px2(&self, blur: &Matrix2<f64>) -> Option<f64> {
+    pub(super) fn stretch_px2(&self, blur: &Matrix2<f64>) -> Option<f64> {
         let along = self.motion?.into_inner();
         let across = Vector2::new(-along.y, along.x);
         let variance = |axis: Vector2<f64>| axis.dot(&(blur * axis));
@@ -123,7 +127,7 @@ impl Prior {
 
     /// Number of samples with the information of one independent sample: pixels of a magnified view
     /// are not independent.
-    pub fn samples_per_pixel(&self) -> f64 {
+    pub(super) fn samples_per_pixel(&self) -> f64 {
         self.magnification.powi(2).max(1.0)
     }
 }
@@ -147,7 +151,7 @@ pub(super) struct Layout {
 impl Layout {
     /// Creates the layout. `is_visible` states for each facet whether it faces the camera;
     /// `seams_shown` are the seams in the samples, in their order.
-    pub fn new(
+    pub(super) fn new(
         is_visible: impl Iterator<Item = bool>,
         seam_count: usize,
         seams_shown: impl Iterator<Item = usize>,
@@ -173,13 +177,13 @@ impl Layout {
     }
 
     /// Index of a facet's radiance gradient along its x axis; that along y is the next.
-    pub fn gradient(&self, facet: usize) -> Option<usize> {
+    pub(super) fn gradient(&self, facet: usize) -> Option<usize> {
         // Levels come in pairs too, in the same order.
         Some(self.uniform_count + (self.levels[facet]? - COMMON))
     }
 
     /// Facets with an index, and the index of their white level.
-    pub fn facets(&self) -> impl Iterator<Item = (usize, usize)> {
+    pub(super) fn facets(&self) -> impl Iterator<Item = (usize, usize)> {
         self.levels.iter().enumerate().filter_map(|(facet, at)| Some((facet, (*at)?)))
     }
 

@@ -26,7 +26,7 @@ const PARTIAL: usize = 256;
 const PRIOR_SIGMAS: [f64; UNKNOWNS] = [1.0, 1.0, 1.0, 0.3, 0.3, 0.3, 20.0, 0.3];
 
 impl NormalEquations {
-    pub fn new() -> Self {
+    pub(super) fn new() -> Self {
         let priors = Gradient::from_iterator(PRIOR_SIGMAS.iter().map(|sigma| sigma.powi(-2)));
         Self {
             normal: Matrix8::from_diagonal(&priors),
@@ -39,7 +39,7 @@ impl NormalEquations {
 
     /// Adds a point's row, weighted.
     #[inline(always)]
-    pub fn add(&mut self, row: &[f32; UNKNOWNS], residual: f32, weight: f32) {
+    pub(super) fn add(&mut self, row: &[f32; UNKNOWNS], residual: f32, weight: f32) {
         for (sums, &own) in self.partial_normal.iter_mut().zip(row) {
             let weighted = weight * own;
             for (sum, &other) in sums.iter_mut().zip(row) {
@@ -68,7 +68,7 @@ impl NormalEquations {
     }
 
     /// The step, and the inverse of the normal matrix.
-    pub fn solve(mut self) -> Option<(Gradient, Matrix8)> {
+    pub(super) fn solve(mut self) -> Option<(Gradient, Matrix8)> {
         self.gather();
         let inverse = self.normal.cholesky()?.inverse();
         Some((inverse * self.right, inverse))

@@ -48,28 +48,28 @@ pub(super) fn bands(width: usize, height: usize, columns: usize) -> impl Iterato
 
 impl Band {
     /// Whether a region of these columns is neither cut at the seam nor a duplicate.
-    pub fn has_whole(&self, left: usize, right: usize) -> bool {
+    pub(super) fn has_whole(&self, left: usize, right: usize) -> bool {
         // A region in the first column continues before the seam, and is whole behind it.
         left > 0 && left <= self.columns && right + 1 < self.columns + SEAM
     }
 
     /// Factor by which its columns are reduced further than its rows.
-    pub fn stretch(&self) -> usize {
+    pub(super) fn stretch(&self) -> usize {
         1 << self.halvings
     }
 
     /// Radians of latitude in a row of the reduced image.
-    pub fn row_rad(&self) -> f64 {
+    pub(super) fn row_rad(&self) -> f64 {
         PI / self.height as f64 * self.factor as f64
     }
 
     /// Radians of longitude in a column.
-    pub fn column_rad(&self) -> f64 {
+    pub(super) fn column_rad(&self) -> f64 {
         TAU / self.width as f64 * (self.factor * self.stretch()) as f64
     }
 
     /// A point of the band in the sphere image.
-    pub fn in_sphere(&self, x: f64, y: f64) -> SpherePixel {
+    pub(super) fn in_sphere(&self, x: f64, y: f64) -> SpherePixel {
         let across = (self.factor * self.stretch()) as f64;
         let down = self.factor as f64;
         let row = y + self.rows.start as f64;
@@ -79,7 +79,7 @@ impl Band {
     /// Reduces the band of an image into `out`, and returns the width of the rows there, without
     /// gaps. `rows` are two rows of memory to work in.
     #[inline(always)]
-    pub fn reduce(
+    pub(super) fn reduce(
         &self,
         image: &SphereImage<'_>,
         rows: &mut [Vec<u8>; 2],

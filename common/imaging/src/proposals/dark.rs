@@ -28,7 +28,7 @@ impl DarkRuns {
     /// Calls `each` with every row's number, and its runs of pixels that are darker by `darker_by`
     /// codes than the mean of their surroundings.
     #[inline(always)]
-    pub fn runs(
+    pub(super) fn runs(
         &mut self,
         grey: &LumaImage<'_>,
         darker_by: u8,

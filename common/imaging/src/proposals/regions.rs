@@ -25,7 +25,7 @@ pub(super) struct Regions {
 }
 
 impl Regions {
-    pub fn clear(&mut self) {
+    pub(super) fn clear(&mut self) {
         self.parents.clear();
         self.regions.clear();
         self.above.clear();
@@ -34,7 +34,7 @@ impl Regions {
 
     /// Adds the runs of row `row`; rows come in order.
     #[inline(always)]
-    pub fn add(&mut self, row: usize, runs: &[Range<u16>]) {
+    pub(super) fn add(&mut self, row: usize, runs: &[Range<u16>]) {
         self.here.clear();
         let mut first = 0;
         for run in runs {
@@ -76,7 +76,7 @@ impl Regions {
         }
         std::mem::swap(&mut self.above, &mut self.here);
     }
-    pub fn iter(&self) -> impl Iterator<Item = &Region> {
+    pub(super) fn iter(&self) -> impl Iterator<Item = &Region> {
         let own = |(label, &parent): (usize, &u32)| label == parent as usize;
         let roots = self.parents.iter().enumerate().map(own);
         self.regions.iter().zip(roots).filter(|(_, is_root)| *is_root).map(|(region, _)| region)
@@ -105,10 +105,10 @@ impl Region {
             area: self.area + other.area,
         }
     }
-    pub fn width(&self) -> usize {
+    pub(super) fn width(&self) -> usize {
         usize::from(self.right - self.left) + 1
     }
-    pub fn height(&self) -> usize {
+    pub(super) fn height(&self) -> usize {
         usize::from(self.bottom - self.top) + 1
     }
 }

@@ -91,7 +91,7 @@ pub(super) enum Kernel {
 
 impl Kernel {
     /// The fastest one for this processor.
-    pub fn of_processor() -> Self {
+    pub(super) fn of_processor() -> Self {
         #[cfg(target_arch = "x86_64")]
         if is_x86_feature_detected!("avx2") {
             return if super::fetch::gathers() { Self::Avx2Gather } else { Self::Avx2 };
@@ -99,7 +99,7 @@ impl Kernel {
         Self::Plain
     }
 
-    pub fn name(self) -> &'static str {
+    pub(super) fn name(self) -> &'static str {
         match self {
             Self::Plain => "no vector instructions",
             #[cfg(target_arch = "x86_64")]
@@ -110,7 +110,7 @@ impl Kernel {
     }
 
     /// Whether this kernel works on this processor for this image.
-    pub fn works_on(self, sphere: &SphereImage<'_>) -> bool {
+    pub(super) fn works_on(self, sphere: &SphereImage<'_>) -> bool {
         match self {
             Self::Plain => true,
             #[cfg(target_arch = "x86_64")]

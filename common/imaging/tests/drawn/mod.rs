@@ -10,15 +10,15 @@ use flockeye_imaging::square::SquareInView;
 use nalgebra::{Matrix3, Rotation3, Unit, Vector3};
 
 /// Cells along a marker's side.
-pub const CELLS: usize = 7;
+pub(crate) const CELLS: usize = 7;
 /// Points rendered for each pixel, along each axis.
 const FINE: usize = 8;
 
 /// Pseudorandom numbers by xorshift64*, the same on every machine.
-pub struct Dice(pub u64);
+pub(crate) struct Dice(pub u64);
 
 impl Dice {
-    pub fn uniform(&mut self, from: f64, to: f64) -> f64 {
+    pub(crate) fn uniform(&mut self, from: f64, to: f64) -> f64 {
         self.0 ^= self.0 >> 12;
         self.0 ^= self.0 << 25;
         self.0 ^= self.0 >> 27;
@@ -27,14 +27,19 @@ impl Dice {
     }
 
     /// Mean 0, variance 1.
-    pub fn normal(&mut self) -> f64 {
+    pub(crate) fn normal(&mut self) -> f64 {
         (0..12).map(|_| self.uniform(0.0, 1.0)).sum::<f64>() - 6.0
     }
 }
 
 /// Code values of radiances, with noise of this size. The noise is that of photons and of the
 /// readout.
-pub fn encode(radiances: &[f64], curve: TransferCurve, noise: f64, dice: &mut Dice) -> Vec<u8> {
+pub(crate) fn encode(
+    radiances: &[f64],
+    curve: TransferCurve,
+    noise: f64,
+    dice: &mut Dice,
+) -> Vec<u8> {
     let code = |radiance: f64| match curve {
         TransferCurve::Linear => radiance,
         TransferCurve::Gamma(gamma) => radiance.max(0.0).powf(1.0 / f64::from(gamma)),
@@ -51,7 +56,7 @@ pub fn encode(radiances: &[f64], curve: TransferCurve, noise: f64, dice: &mut Di
 }
 
 /// One marker in front of a camera.
-pub struct Scene {
+pub(crate) struct Scene {
     pub size: usize,
     pub corners: [ViewPixel; 4],
     pub cells: [[bool; CELLS]; CELLS],
@@ -72,7 +77,7 @@ pub struct Scene {
 
 /// Something with a straight edge that covers a corner, as fingers do that hold a marker.
 #[derive(Debug, Clone, Copy)]
-pub struct Glove {
+pub(crate) struct Glove {
     /// The corner.
     pub corner: usize,
     /// How much it covers of the corner's two sides, as shares of them.
@@ -93,7 +98,7 @@ impl Glove {
 
 /// Stripes of sun, as wide as the shade between them.
 #[derive(Debug, Clone, Copy)]
-pub struct Stripes {
+pub(crate) struct Stripes {
     /// Direction across them, radians.
     pub across_rad: f64,
     /// Where the first begins, and the width of sun and shade together, sides of the marker.
@@ -106,7 +111,7 @@ pub struct Stripes {
 impl Stripes {
     /// Stripes of any direction, with a width of half a side to one and a half, and this share of
     /// light between them.
-    pub fn of_shade(shade: f64, dice: &mut Dice) -> Self {
+    pub(crate) fn of_shade(shade: f64, dice: &mut Dice) -> Self {
         Self {
             across_rad: dice.uniform(0.0, 6.3),
             first: dice.uniform(0.0, 1.5),
@@ -124,7 +129,7 @@ impl Stripes {
 
 impl Scene {
     /// A marker whose sides, seen frontally, would have `side` pixels, tilted by `tilt`.
-    pub fn new(dice: &mut Dice, side: f64, tilt: f64, blur: f64) -> Self {
+    pub(crate) fn new(dice: &mut Dice, side: f64, tilt: f64, blur: f64) -> Self {
         let size = (1.7 * side) as usize + 16;
         let axis = dice.uniform(0.0, 6.3);
         let axis = Unit::new_normalize(Vector3::new(axis.cos(), axis.sin(), 0.0));
@@ -160,7 +165,7 @@ impl Scene {
     }
 
     /// Radiance of the printed plane. The black square is [0, 1] x [0, 1].
-    pub fn radiance(&self, u: f64, v: f64) -> f64 {
+    pub(crate) fn radiance(&self, u: f64, v: f64) -> f64 {
         self.printed(u, v) * self.stripes.map_or(1.0, |stripes| stripes.light(u, v))
     }
 
@@ -196,13 +201,13 @@ impl Scene {
         if self.cells[cell(v)][cell(u)] { self.white } else { self.black }
     }
 
-    pub fn print(&self) -> MarkerPrint {
+    pub(crate) fn print(&self) -> MarkerPrint {
         let inner = self.cells[1..CELLS - 1].iter().flat_map(|row| row[1..CELLS - 1].iter());
         MarkerPrint::of_bits(&inner.copied().collect::<Vec<bool>>()).unwrap()
     }
 
     /// The radiance that each pixel integrates.
-    pub fn render(&self) -> Vec<f64> {
+    pub(crate) fn render(&self) -> Vec<f64> {
         let fine = self.size * FINE;
         let square_from_view = homography(&self.corners).try_inverse().unwrap();
         let at = |k: usize| (k as f64 + 0.5) / FINE as f64 - 0.5;

@@ -6,7 +6,7 @@ use flockeye_imaging::sphere::{Cut, Interpolation, SphereImage};
 use nalgebra::{Isometry3, Rotation3, Translation3, Unit, UnitQuaternion, Vector3};
 
 /// Cameras of every model, with one centre and with two lenses.
-pub fn cameras() -> [Camera; 6] {
+pub(crate) fn cameras() -> [Camera; 6] {
     let lens = |ahead: f64, u: f64, curve, focal_px| {
         let axis = Vector3::x() * ahead;
         let right = axis.cross(&Vector3::z());
@@ -45,7 +45,7 @@ pub fn cameras() -> [Camera; 6] {
 
 /// Views of difficult places: the poles, the seam, both, the border between two lenses, directions
 /// that no lens sees, the corners of wide views. One is easy.
-pub fn hard_views() -> Vec<View> {
+pub(crate) fn hard_views() -> Vec<View> {
     let directions = [
         (0.0, 0.0, 1.0),
         (0.01, 0.003, 1.0),
@@ -71,7 +71,7 @@ pub fn hard_views() -> Vec<View> {
 
 /// Noise of full contrast, blurred by a Gaussian of 0.8 px. The first column is the last one's
 /// neighbour.
-pub fn panorama(camera: &Camera, stride: usize) -> Vec<u8> {
+pub(crate) fn panorama(camera: &Camera, stride: usize) -> Vec<u8> {
     let (width, height) = (camera.width() as usize, camera.height() as usize);
     let kernel: Vec<f32> = (-3..=3).map(|k| (-(k * k) as f32 / (2.0 * 0.64)).exp()).collect();
     let sum: f32 = kernel.iter().sum();
@@ -104,13 +104,13 @@ pub fn panorama(camera: &Camera, stride: usize) -> Vec<u8> {
 }
 
 /// Where the cut's pixel (x, y) lies in the sphere image.
-pub fn position(camera: &Camera, cut: &Cut, x: f64, y: f64) -> Option<SpherePixel> {
+pub(crate) fn position(camera: &Camera, cut: &Cut, x: f64, y: f64) -> Option<SpherePixel> {
     camera.at_distance(cut.distance_m).project(&cut.view.ray(ViewPixel::new(x, y)))
 }
 
 /// The grey value of the cut's pixel (x, y), interpolated in the sphere image; black where that
 /// does not show it.
-pub fn grey(sphere: &SphereImage<'_>, cut: &Cut, x: f64, y: f64) -> f64 {
+pub(crate) fn grey(sphere: &SphereImage<'_>, cut: &Cut, x: f64, y: f64) -> f64 {
     let camera = sphere.camera();
     let Some(at) = position(camera, cut, x, y) else { return 0.0 };
     let (left, top) = (at.0.x.floor(), at.0.y.floor());
@@ -149,7 +149,7 @@ pub fn grey(sphere: &SphereImage<'_>, cut: &Cut, x: f64, y: f64) -> f64 {
 
 /// Whether rounding to single precision leaves the pixel where it is: neither on the border of an
 /// image circle or between two lenses, nor on a pole itself.
-pub fn is_settled(camera: &Camera, cut: &Cut, x: f64, y: f64) -> bool {
+pub(crate) fn is_settled(camera: &Camera, cut: &Cut, x: f64, y: f64) -> bool {
     // Pixels of the view, more than single precision is off: next to a pole it is off by less,
     // because directions are counted from there.
     let shift_px = if is_round(camera) { 1e-5 } else { 1e-3 };

@@ -17,7 +17,7 @@ const SMALL_STEP: f64 = 1e-7;
 
 /// An edge of the graph: the pose of drone `to` in the frame of drone `from`.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct PairPose {
+pub(super) struct PairPose {
     /// Number of the drone in whose frame the pose is.
     pub from: usize,
     /// Number of the drone at the pose.
@@ -28,7 +28,7 @@ pub struct PairPose {
 
 /// A drone's pose in the frame of the first one.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct DroneNode {
+pub(super) struct DroneNode {
     /// Its pose in the first drone's frame.
     pub pose: UncertainPose,
     /// The drone before it on the best chain of edges.
@@ -37,7 +37,7 @@ pub struct DroneNode {
 
 /// The best fit to all edges.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Solution {
+pub(super) struct Solution {
     /// The drones; none for drones that no edges lead to, and for the first.
     pub nodes: Vec<Option<DroneNode>>,
     /// Sum of the squared Mahalanobis distances of all usable edges.
@@ -47,7 +47,7 @@ pub struct Solution {
 }
 
 /// Finds the poses of `drones` drones. Drone 0 is the origin.
-pub fn solve(drones: usize, edges: &[PairPose]) -> Solution {
+pub(super) fn solve(drones: usize, edges: &[PairPose]) -> Solution {
     let mut nodes = chain(drones, edges);
     let is_known = |nodes: &[Option<DroneNode>], drone: usize| drone == 0 || nodes[drone].is_some();
     let usable: Vec<(&PairPose, Matrix6<f64>)> = edges

@@ -17,7 +17,7 @@ const CHANCE: f64 = 1e-6;
 
 /// The observers whose sightings contradict the others'. `edges` are sightings, each `from` its
 /// observer. Drone 0 is this drone, and always trusted.
-pub fn contradicting(drones: usize, edges: &[PairPose]) -> Vec<usize> {
+pub(super) fn contradicting(drones: usize, edges: &[PairPose]) -> Vec<usize> {
     let mut left_out = Vec::new();
     let mut remaining = edges.to_vec();
     loop {

@@ -35,7 +35,7 @@ const MEMORY_S: f64 = 1.0;
 
 /// The filter of one pose, `first_from_second`.
 #[derive(Debug, Clone)]
-pub struct Replay {
+pub(super) struct Replay {
     /// The filters at the first measurement that waits.
     filters: [Filter; BRISKNESS.len()],
     /// Measured poses, in the order of their times, seconds.
@@ -53,7 +53,7 @@ struct Filter {
 
 impl Replay {
     /// A filter without measurements. `motion` has the largest accelerations.
-    pub fn new(motion: MotionModel) -> Self {
+    pub(super) fn new(motion: MotionModel) -> Self {
         let filter = |share| Filter {
             motion: MotionModel {
                 acceleration: share * motion.acceleration,
@@ -68,7 +68,7 @@ impl Replay {
     }
 
     /// Time of the newest measurement, seconds.
-    pub fn newest_s(&self) -> Option<f64> {
+    pub(super) fn newest_s(&self) -> Option<f64> {
         let waiting = self.waiting.back().map(|(newest_s, _)| *newest_s);
         waiting.or_else(|| self.begins_s())
     }
@@ -81,7 +81,7 @@ impl Replay {
 
     /// Adds a pose that was measured at `at_s`, seconds; `ego` is the rotation of the first drone.
     /// One that is older than the filters is dropped.
-    pub fn add(&mut self, at_s: f64, measured: UncertainPose, ego: &EgoRotation) {
+    pub(super) fn add(&mut self, at_s: f64, measured: UncertainPose, ego: &EgoRotation) {
         if !at_s.is_finite() || !measured.is_usable() {
             return;
         }
@@ -100,7 +100,7 @@ impl Replay {
     }
 
     /// The estimate at `at_s`; none before the first measurement, or too long after the last.
-    pub fn at(&self, at_s: f64, ego: &EgoRotation) -> Option<MotionEstimate> {
+    pub(super) fn at(&self, at_s: f64, ego: &EgoRotation) -> Option<MotionEstimate> {
         let mut filters = self.filters.clone();
         for (waiting_s, measured) in self.waiting.iter().take_while(|(s, _)| *s <= at_s) {
             filters.iter_mut().for_each(|filter| filter.take(*waiting_s, measured, ego));

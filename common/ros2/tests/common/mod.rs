@@ -2,17 +2,17 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, dead_code, unused_imports)]
 
-pub use flockeye_require::loopback::*;
+pub(crate) use flockeye_require::loopback::*;
 use flockeye_ros2::{ObserverSeen, RelativePose, Ros2Parameters};
 use zenoh::{Session, Wait};
 
 /// A node that connects to a router at `port`, in domain 3.
-pub fn parameters(port: u16) -> Ros2Parameters {
+pub(crate) fn parameters(port: u16) -> Ros2Parameters {
     Ros2Parameters { domain: 3, connect: vec![tcp(port)], ..Default::default() }
 }
 
 /// A session that is not ours, without multicast, as rmw_zenoh's are.
-pub fn session(mode: &str, listen: Option<u16>, connect: Option<u16>) -> Session {
+pub(crate) fn session(mode: &str, listen: Option<u16>, connect: Option<u16>) -> Session {
     let endpoints =
         |port: Option<u16>| port.map(|port| format!("\"{}\"", tcp(port))).unwrap_or_default();
     let config = format!(
@@ -25,12 +25,12 @@ pub fn session(mode: &str, listen: Option<u16>, connect: Option<u16>) -> Session
 }
 
 /// A router at `port`, as rmw_zenohd is.
-pub fn router(port: u16) -> Session {
+pub(crate) fn router(port: u16) -> Session {
     session("router", Some(port), None)
 }
 
 /// Where the observer sees `name`, or is seen by it.
-pub fn neighbour(name: &str) -> RelativePose {
+pub(crate) fn neighbour(name: &str) -> RelativePose {
     RelativePose {
         name: name.into(),
         stamp_utc_ns: 1_700_000_000_000_000_123,
@@ -41,7 +41,7 @@ pub fn neighbour(name: &str) -> RelativePose {
 }
 
 /// Where `peer` sees the observer, which flies to the peer's left at 2 m/s.
-pub fn seen(peer: &str) -> ObserverSeen {
+pub(crate) fn seen(peer: &str) -> ObserverSeen {
     let (linear_velocity, angular_velocity) = ([0.0, 2.0, 0.0], [0.0, 0.0, 0.1]);
     ObserverSeen { pose: neighbour(peer), linear_velocity, angular_velocity }
 }

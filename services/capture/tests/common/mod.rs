@@ -11,11 +11,11 @@ use flockeye_config::Flow;
 use gstreamer as gst;
 use gstreamer::prelude::*;
 
-pub const WIDTH: u32 = 320;
-pub const HEIGHT: u32 = 240;
+pub(crate) const WIDTH: u32 = 320;
+pub(crate) const HEIGHT: u32 = 240;
 
 /// Runs `test` in a thread and fails when it has not come back after a minute.
-pub fn watched(test: impl FnOnce() + Send + 'static) {
+pub(crate) fn watched(test: impl FnOnce() + Send + 'static) {
     let (done, finished) = mpsc::channel();
     let worker = std::thread::spawn(move || {
         test();
@@ -28,10 +28,10 @@ pub fn watched(test: impl FnOnce() + Send + 'static) {
 }
 
 /// A folder of its own, removed when dropped.
-pub struct Scratch(PathBuf);
+pub(crate) struct Scratch(PathBuf);
 
 impl Scratch {
-    pub fn new() -> Self {
+    pub(crate) fn new() -> Self {
         static NEXT: AtomicU32 = AtomicU32::new(0);
         let name = format!(
             "flockeye-capture-{}-{}",
@@ -43,23 +43,23 @@ impl Scratch {
         Self(path)
     }
 
-    pub fn path(&self, name: &str) -> PathBuf {
+    pub(crate) fn path(&self, name: &str) -> PathBuf {
         self.0.join(name)
     }
 
-    pub fn folder(&self) -> &Path {
+    pub(crate) fn folder(&self) -> &Path {
         &self.0
     }
 
     /// Runs `video ! encoders ! filesink` to its end and returns the file.
-    pub fn clip(&self, name: &str, pipeline: &str) -> PathBuf {
+    pub(crate) fn clip(&self, name: &str, pipeline: &str) -> PathBuf {
         let path = self.path(name);
         run(&format!("{pipeline} ! filesink location=\"{}\"", path.display()));
         path
     }
 
     /// The first `share` of a file, under another name.
-    pub fn cut(&self, whole: &Path, name: &str, share: f64) -> PathBuf {
+    pub(crate) fn cut(&self, whole: &Path, name: &str, share: f64) -> PathBuf {
         let bytes = std::fs::read(whole).unwrap();
         let path = self.path(name);
         std::fs::write(&path, &bytes[..(bytes.len() as f64 * share) as usize]).unwrap();
@@ -74,14 +74,14 @@ impl Drop for Scratch {
 }
 
 /// `frames` different frames of raw video; a different `width` makes for padded rows.
-pub fn video(frames: u32, width: u32, format: &str) -> String {
+pub(crate) fn video(frames: u32, width: u32, format: &str) -> String {
     format!(
         "videotestsrc num-buffers={frames} pattern=ball ! video/x-raw,format={format},width={width},height={HEIGHT},framerate=30/1"
     )
 }
 
 /// Runs a pipeline to its end.
-pub fn run(description: &str) {
+pub(crate) fn run(description: &str) {
     gst::init().unwrap();
     let pipeline = gst::parse::launch(description).unwrap();
     pipeline.set_state(gst::State::Playing).unwrap();
@@ -98,7 +98,12 @@ pub fn run(description: &str) {
 }
 
 /// The luma planes of raw video, rows packed, as GStreamer makes them without our code.
-pub fn raw_luma(scratch: &Scratch, pipeline: &str, width: u32, format: &str) -> Vec<Vec<u8>> {
+pub(crate) fn raw_luma(
+    scratch: &Scratch,
+    pipeline: &str,
+    width: u32,
+    format: &str,
+) -> Vec<Vec<u8>> {
     let gray = scratch.clip("raw", pipeline);
     let bytes = std::fs::read(gray).unwrap();
     let info = gstreamer_video::VideoInfo::builder(format.parse().unwrap(), width, HEIGHT)
@@ -114,20 +119,20 @@ pub fn raw_luma(scratch: &Scratch, pipeline: &str, width: u32, format: &str) -> 
 }
 
 /// A picture's luma with its rows packed.
-pub fn packed(picture: &SourcePicture) -> Vec<u8> {
+pub(crate) fn packed(picture: &SourcePicture) -> Vec<u8> {
     (0..picture.height()).flat_map(|y| picture.row(y).to_vec()).collect()
 }
 
-pub fn parameters(flow: Flow) -> SourceParameters {
+pub(crate) fn parameters(flow: Flow) -> SourceParameters {
     SourceParameters { flow, ..SourceParameters::new(WIDTH, HEIGHT) }
 }
 
-pub fn open(path: &Path, params: SourceParameters) -> FrameSource {
+pub(crate) fn open(path: &Path, params: SourceParameters) -> FrameSource {
     FrameSource::open(path.to_str().unwrap().parse().unwrap(), params).unwrap()
 }
 
 /// Plays a recording to its end.
-pub fn play(source: &mut FrameSource, mut each: impl FnMut(&SourcePicture)) -> EndReason {
+pub(crate) fn play(source: &mut FrameSource, mut each: impl FnMut(&SourcePicture)) -> EndReason {
     loop {
         match source.next(Duration::from_secs(5)).unwrap() {
             Event::Frame(picture) => each(&picture),

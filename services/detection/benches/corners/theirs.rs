@@ -11,7 +11,7 @@ use opencv::prelude::*;
 use crate::Picture;
 
 /// One of OpenCV's refinements.
-pub struct Theirs {
+pub(crate) struct Theirs {
     pub name: &'static str,
     method: i32,
     /// Offset of this method's corners from the convention of the others, pixels along either axis.
@@ -22,7 +22,7 @@ pub struct Theirs {
 impl Theirs {
     /// All four. The corners of `APRILTAG` are offset by (+0.45, +0.45) px from the convention of
     /// the others, which is subtracted here.
-    pub fn all() -> Vec<Self> {
+    pub(crate) fn all() -> Vec<Self> {
         opencv::core::set_num_threads(1).unwrap();
         let methods = [
             ("OpenCV, NONE", CORNER_REFINE_NONE, 0.0),
@@ -42,7 +42,7 @@ impl Theirs {
     }
 
     /// The marker's corners, with OpenCV's default parameters except for the refinement.
-    pub fn corners(&self, picture: &Picture) -> Option<[ViewPixel; 4]> {
+    pub(crate) fn corners(&self, picture: &Picture) -> Option<[ViewPixel; 4]> {
         let size = picture.scene.size as i32;
         let mat = Mat::new_rows_cols_with_data(size, size, &picture.pixels).unwrap();
         // A new set each time, because OpenCV writes into the parameters.

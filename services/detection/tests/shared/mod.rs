@@ -7,10 +7,10 @@ use nalgebra::{Unit, Vector3};
 use opencv::imgcodecs::{IMREAD_GRAYSCALE, imread};
 use opencv::prelude::*;
 
-pub use flockeye_require::recordings as data;
+pub(crate) use flockeye_require::recordings as data;
 
 /// An 8-bit image that owns its pixels.
-pub struct Picture {
+pub(crate) struct Picture {
     pub pixels: Vec<u8>,
     pub width: usize,
     pub height: usize,
@@ -18,18 +18,18 @@ pub struct Picture {
 
 impl Picture {
     /// The luma of an image file.
-    pub fn read(path: &std::path::Path) -> Self {
+    pub(crate) fn read(path: &std::path::Path) -> Self {
         let mat = imread(path.to_str().expect("a readable path"), IMREAD_GRAYSCALE).expect("read");
         let pixels = mat.data_bytes().expect("continuous").to_vec();
         Self { pixels, width: mat.cols() as usize, height: mat.rows() as usize }
     }
 
-    pub fn image(&self) -> LumaImage<'_> {
+    pub(crate) fn image(&self) -> LumaImage<'_> {
         LumaImage::new(&self.pixels, self.width, self.height, self.width).expect("consistent")
     }
 
     /// Cuts `view` from this image of the whole sphere, interpolating linearly between code values.
-    pub fn cut(&self, view: &View) -> Picture {
+    pub(crate) fn cut(&self, view: &View) -> Picture {
         let camera = Equirectangular { width: self.width as u32, height: self.height as u32 };
         let size = view.size_px as usize;
         let mut pixels = Vec::with_capacity(size * size);
@@ -53,7 +53,7 @@ impl Picture {
 }
 
 /// Twelve views that cover the sphere: the faces of a dodecahedron.
-pub fn partitions(focal: f64) -> Vec<View> {
+pub(crate) fn partitions(focal: f64) -> Vec<View> {
     let golden = (1.0 + 5f64.sqrt()) / 2.0;
     let mut views = Vec::new();
     for a in [-1.0, 1.0] {

@@ -19,35 +19,39 @@ use nalgebra::{Isometry3, Matrix6, Point3, Translation3, UnitQuaternion};
 use super::{PoseMeasurement, Record};
 use crate::drawn_body::{Drawing, draw};
 
-pub const PIXELS_PER_RADIAN: f64 = 611.0;
-pub const INTERVAL_S: f64 = 1.0 / 30.0;
+pub(crate) const PIXELS_PER_RADIAN: f64 = 611.0;
+pub(crate) const INTERVAL_S: f64 = 1.0 / 30.0;
 
-pub fn alpha() -> Body {
+pub(crate) fn alpha() -> Body {
     squares("alpha", 0.0625, 0.05, 0)
 }
 
-pub fn bravo() -> Body {
+pub(crate) fn bravo() -> Body {
     squares("bravo", 0.0625, 0.05, 17)
 }
 
 /// `camera_from_markers`, turned by this angle in radians.
-pub fn pose(turn: f64) -> Isometry3<f64> {
+pub(crate) fn pose(turn: f64) -> Isometry3<f64> {
     Isometry3::from_parts(
         Translation3::new(0.7, 0.5, 0.3),
         UnitQuaternion::from_euler_angles(0.3, -0.2, turn),
     )
 }
 
-pub fn stamp(sequence: u64) -> FrameStamp {
+pub(crate) fn stamp(sequence: u64) -> FrameStamp {
     FrameStamp { sequence, exposure_ns: (at_s(sequence) * 1e9) as i64, ..FrameStamp::default() }
 }
 
-pub fn at_s(sequence: u64) -> f64 {
+pub(crate) fn at_s(sequence: u64) -> f64 {
     10.0 + sequence as f64 * INTERVAL_S
 }
 
 /// The first of a body's markers that face the camera, at most `most` of them.
-pub fn facing_markers(body: &Body, pose: &Isometry3<f64>, most: usize) -> Vec<DetectedMarker> {
+pub(crate) fn facing_markers(
+    body: &Body,
+    pose: &Isometry3<f64>,
+    most: usize,
+) -> Vec<DetectedMarker> {
     let eye = pose.inverse_transform_point(&Point3::origin());
     let facing = body
         .markers
@@ -65,18 +69,18 @@ pub fn facing_markers(body: &Body, pose: &Isometry3<f64>, most: usize) -> Vec<De
 }
 
 /// What detection finds in a view of alpha at `pose`.
-pub fn record(sequence: u64, pose: &Isometry3<f64>) -> Record {
+pub(crate) fn record(sequence: u64, pose: &Isometry3<f64>) -> Record {
     Record { markers: facing_markers(&alpha(), pose, usize::MAX), ..empty_record(sequence) }
 }
 
 /// A view in which no marker was found.
-pub fn empty_record(sequence: u64) -> Record {
+pub(crate) fn empty_record(sequence: u64) -> Record {
     let header = DetectionHeader { stamp: stamp(sequence), ..DetectionHeader::default() };
     Record { header, markers: Vec::new() }
 }
 
 /// Alpha at `pose(0.9)`. It is drawn once, because drawing takes longer than all else here.
-pub fn shown() -> &'static (View, Vec<u8>) {
+pub(crate) fn shown() -> &'static (View, Vec<u8>) {
     static SHOWN: OnceLock<(View, Vec<u8>)> = OnceLock::new();
     SHOWN.get_or_init(|| {
         let drawing = drawing(&pose(0.9));
@@ -87,7 +91,7 @@ pub fn shown() -> &'static (View, Vec<u8>) {
 }
 
 /// View 0 of the plan `plan_id`: the region of alpha, as in [`shown`].
-pub fn region_view(sequence: u64, plan_id: u64) -> ViewHeader {
+pub(crate) fn region_view(sequence: u64, plan_id: u64) -> ViewHeader {
     let (view, _) = shown();
     ViewHeader {
         stamp: stamp(sequence),
@@ -105,7 +109,11 @@ pub fn region_view(sequence: u64, plan_id: u64) -> ViewHeader {
 }
 
 /// Its record, with alpha's markers at a pose.
-pub fn region_record(sequence: u64, plan_id: u64, camera_from_markers: &Isometry3<f64>) -> Record {
+pub(crate) fn region_record(
+    sequence: u64,
+    plan_id: u64,
+    camera_from_markers: &Isometry3<f64>,
+) -> Record {
     let mut record = record(sequence, camera_from_markers);
     let view = shown().0;
     for marker in &mut record.markers {
@@ -120,13 +128,17 @@ pub fn region_record(sequence: u64, plan_id: u64, camera_from_markers: &Isometry
 }
 
 /// The end of a frame in which so many views were cut.
-pub fn region_end(sequence: u64, plan_id: u64, views_issued: u32) -> FrameEnd {
+pub(crate) fn region_end(sequence: u64, plan_id: u64, views_issued: u32) -> FrameEnd {
     FrameEnd { stamp: stamp(sequence), plan_id, views_issued, ..FrameEnd::default() }
 }
 
 /// What alignment has led to: a pose with these log odds, and this deviation along and about each
 /// axis, metres and radians.
-pub fn alignment(camera_from_markers: Isometry3<f64>, log_odds: f64, sigma: f64) -> Alignment {
+pub(crate) fn alignment(
+    camera_from_markers: Isometry3<f64>,
+    log_odds: f64,
+    sigma: f64,
+) -> Alignment {
     let covariance = Matrix6::from_diagonal_element(sigma * sigma);
     Alignment {
         camera_from_markers,
@@ -139,13 +151,13 @@ pub fn alignment(camera_from_markers: Isometry3<f64>, log_odds: f64, sigma: f64)
 }
 
 /// A certain measurement.
-pub fn measurement(camera_from_markers: &Isometry3<f64>) -> PoseMeasurement {
+pub(crate) fn measurement(camera_from_markers: &Isometry3<f64>) -> PoseMeasurement {
     let covariance = Matrix6::identity() * 1e-6;
     let pose = PoseEstimate { camera_from_markers: *camera_from_markers, covariance };
     PoseMeasurement { pose, measured_by: MeasuredBy::Decoded, markers: 2, is_precise: true }
 }
 
 /// A drawing of alpha at `pose`.
-pub fn drawing(pose: &Isometry3<f64>) -> Drawing {
+pub(crate) fn drawing(pose: &Isometry3<f64>) -> Drawing {
     draw(&alpha(), pose, PIXELS_PER_RADIAN, 0.9, 0.004)
 }

@@ -9,13 +9,13 @@ use opencv::imgproc;
 use opencv::prelude::*;
 
 /// The map of a view: columns and rows of the equirectangular image.
-pub struct Maps {
+pub(crate) struct Maps {
     pub columns: Mat,
     pub rows: Mat,
 }
 
 /// Maps in OpenCV's fixed-point form.
-pub struct FixedMaps {
+pub(crate) struct FixedMaps {
     whole: Mat,
     fraction: Mat,
 }
@@ -24,7 +24,7 @@ pub struct FixedMaps {
 const OUTSIDE: (f32, f32) = (-1e4, -1e4);
 
 impl Maps {
-    pub fn new(size_px: u32) -> Self {
+    pub(crate) fn new(size_px: u32) -> Self {
         let size = size_px as i32;
         let new =
             || Mat::new_rows_cols_with_default(size, size, CV_32FC1, Scalar::all(0.0)).unwrap();
@@ -32,7 +32,7 @@ impl Maps {
     }
 
     /// Fills the maps for a view.
-    pub fn build(&mut self, camera: &Camera, view: &View) {
+    pub(crate) fn build(&mut self, camera: &Camera, view: &View) {
         let (width, height) = (camera.width() as f32, camera.height() as f32);
         match camera.model() {
             CameraModel::Equirectangular { .. } => {
@@ -108,7 +108,7 @@ impl Maps {
     }
 
     /// In OpenCV's fixed-point form.
-    pub fn fixed(&self) -> FixedMaps {
+    pub(crate) fn fixed(&self) -> FixedMaps {
         let (mut whole, mut fraction) = (Mat::default(), Mat::default());
         imgproc::convert_maps(
             &self.columns,
@@ -123,14 +123,24 @@ impl Maps {
     }
 
     /// Cuts the view with these maps.
-    pub fn remap(&self, sphere: &impl core::ToInputArray, out: &mut Mat, interpolation: i32) {
+    pub(crate) fn remap(
+        &self,
+        sphere: &impl core::ToInputArray,
+        out: &mut Mat,
+        interpolation: i32,
+    ) {
         remap(sphere, out, &self.columns, &self.rows, interpolation);
     }
 }
 
 impl FixedMaps {
     /// Cuts the view with these maps.
-    pub fn remap(&self, sphere: &impl core::ToInputArray, out: &mut Mat, interpolation: i32) {
+    pub(crate) fn remap(
+        &self,
+        sphere: &impl core::ToInputArray,
+        out: &mut Mat,
+        interpolation: i32,
+    ) {
         remap(sphere, out, &self.whole, &self.fraction, interpolation);
     }
 }

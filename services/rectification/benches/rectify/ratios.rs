@@ -26,7 +26,7 @@ use crate::scene::{
 const ROUNDS: u32 = 41;
 
 /// Runs all measurements and prints the table.
-pub fn print() {
+pub(crate) fn print() {
     core::set_num_threads(1).unwrap();
     println!(
         "\nratios, processor time of one thread, medians of {ROUNDS} turns; ours by {}",

@@ -8,14 +8,14 @@ use flockeye_rectification::rectifier::Rectifier;
 use nalgebra::{Isometry3, Rotation3, Translation3, Unit, UnitQuaternion, Vector3};
 
 /// A frame of a camera.
-pub struct Scene {
+pub(crate) struct Scene {
     pub camera: Camera,
     pub pixels: Vec<u8>,
 }
 
 impl Scene {
     /// Texture at every scale, so that adjacent rows differ.
-    pub fn of(camera: Camera) -> Self {
+    pub(crate) fn of(camera: Camera) -> Self {
         let pixels = (0..camera.width() * camera.height()).map(|k| {
             let (x, y) = (k % camera.width(), k / camera.width());
             (x.wrapping_mul(y).wrapping_add((x / 7) ^ (y / 5)) >> 3) as u8
@@ -23,29 +23,29 @@ impl Scene {
         Self { pixels: pixels.collect(), camera }
     }
 
-    pub fn sphere(&self) -> SphereImage<'_> {
+    pub(crate) fn sphere(&self) -> SphereImage<'_> {
         SphereImage::new(&self.pixels, self.camera.width() as usize, self.camera).unwrap()
     }
 
-    pub fn key(&self, frame: u64) -> FrameOrder {
+    pub(crate) fn key(&self, frame: u64) -> FrameOrder {
         (0, 0, frame)
     }
 
-    pub fn cut(&self, rectifier: &mut dyn Rectifier, frame: u64, cut: &Cut, out: &mut [u8]) {
+    pub(crate) fn cut(&self, rectifier: &mut dyn Rectifier, frame: u64, cut: &Cut, out: &mut [u8]) {
         rectifier.cut(self.key(frame), &self.sphere(), cut, out).unwrap();
     }
 }
 
-pub fn buffer(view: &View) -> Vec<u8> {
+pub(crate) fn buffer(view: &View) -> Vec<u8> {
     vec![0; view.size_px.pow(2) as usize]
 }
 
-pub fn equirectangular() -> Camera {
+pub(crate) fn equirectangular() -> Camera {
     Camera::equirectangular(3840, 1920)
 }
 
 /// Two lenses of 195 degrees side by side, 16 mm apart, with a Kannala-Brandt curve each.
-pub fn dual_fisheye() -> Camera {
+pub(crate) fn dual_fisheye() -> Camera {
     let lens = |ahead: f64, u: f64| {
         let axis = Vector3::x() * ahead;
         let right = axis.cross(&Vector3::z());
@@ -67,23 +67,23 @@ pub fn dual_fisheye() -> Camera {
 }
 
 /// The paper's plane, 300 degrees across.
-pub fn stereographic() -> Camera {
+pub(crate) fn stereographic() -> Camera {
     let plane = CameraModel::Stereographic { field_rad: 300f64.to_radians() };
     Camera::new(1920, 1920, plane).unwrap()
 }
 
-pub fn look(direction: Vector3<f64>, field_deg: f64, size_px: u32) -> View {
+pub(crate) fn look(direction: Vector3<f64>, field_deg: f64, size_px: u32) -> View {
     View::looking_at(&Unit::new_normalize(direction), field_deg.to_radians(), size_px)
 }
 
 /// A view of 20 degrees and 400 px near the axis of the first lens, which moves with each frame.
-pub fn region(frame: u32) -> View {
+pub(crate) fn region(frame: u32) -> View {
     let azimuth = f64::from(frame % 100) * 0.01 - 0.5;
     look(Vector3::new(azimuth.cos(), azimuth.sin(), 0.2), 20.0, 400)
 }
 
 /// The vertices of an icosahedron: centres of the best cover of the sphere by twelve circles.
-pub fn partition() -> Vec<View> {
+pub(crate) fn partition() -> Vec<View> {
     let golden = (1.0 + 5f64.sqrt()) / 2.0;
     let mut directions = Vec::new();
     for one in [-1.0, 1.0] {

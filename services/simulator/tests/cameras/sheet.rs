@@ -8,7 +8,7 @@ use nalgebra::{Isometry3, Point3, Rotation3, Translation3, UnitQuaternion, Vecto
 
 /// A camera by its numbers alone.
 #[derive(Clone, Copy)]
-pub struct Sheet {
+pub(crate) struct Sheet {
     pub width: u32,
     pub height: u32,
     pub kind: Kind,
@@ -16,14 +16,14 @@ pub struct Sheet {
 
 #[derive(Clone, Copy)]
 #[expect(clippy::large_enum_variant, reason = "a test has a few of them")]
-pub enum Kind {
+pub(crate) enum Kind {
     Sphere { lens_distance_m: f64 },
     Fisheyes([Fisheye; 2]),
     Plane { field_deg: f64 },
 }
 
 #[derive(Clone, Copy)]
-pub struct Fisheye {
+pub(crate) struct Fisheye {
     /// Right, down and ahead in the camera frame.
     pub axes: [Vector3<f64>; 3],
     pub position_m: Vector3<f64>,
@@ -35,14 +35,14 @@ pub struct Fisheye {
 }
 
 #[derive(Clone, Copy)]
-pub enum Curve {
+pub(crate) enum Curve {
     KannalaBrandt([f64; 4]),
     DoubleSphere { xi: f64, alpha: f64 },
 }
 
 impl Fisheye {
     /// Looks ahead or back, turned a little, `aside_m` from the middle.
-    pub fn new(ahead: f64, aside_m: f64, centre: [f64; 2], circle: f64, focal: f64) -> Self {
+    pub(crate) fn new(ahead: f64, aside_m: f64, centre: [f64; 2], circle: f64, focal: f64) -> Self {
         let turn = Rotation3::from_euler_angles(0.02, -0.03, 0.04 * ahead);
         let axes = [-Vector3::y() * ahead, -Vector3::z(), Vector3::x() * ahead];
         Self {
@@ -56,7 +56,7 @@ impl Fisheye {
         }
     }
 
-    pub fn lens(&self) -> Lens {
+    pub(crate) fn lens(&self) -> Lens {
         let axes = Rotation3::from_basis_unchecked(&self.axes);
         Lens {
             camera_from_lens: Isometry3::from_parts(
@@ -75,7 +75,7 @@ impl Fisheye {
     }
 
     /// Where a point of the camera frame is seen; `None` within `margin` pixels of the border.
-    pub fn project(&self, point: &Point3<f64>, margin: f64) -> Option<[f64; 2]> {
+    pub(crate) fn project(&self, point: &Point3<f64>, margin: f64) -> Option<[f64; 2]> {
         let seen = point.coords - self.position_m;
         let [x, y, z] = self.axes.map(|axis| axis.dot(&seen));
         let across = x.hypot(y);
@@ -104,7 +104,7 @@ impl Fisheye {
 }
 
 impl Sheet {
-    pub fn camera(&self) -> Camera {
+    pub(crate) fn camera(&self) -> Camera {
         let model = match self.kind {
             Kind::Sphere { lens_distance_m } => CameraModel::Equirectangular { lens_distance_m },
             Kind::Fisheyes(lenses) => {
@@ -118,7 +118,7 @@ impl Sheet {
     }
 
     /// The same camera with a quarter of the pixels along each side.
-    pub fn quartered(self) -> Self {
+    pub(crate) fn quartered(self) -> Self {
         let quartered = |lens: Fisheye| Fisheye {
             centre: lens.centre.map(|middle| (middle + 0.5) / 4.0 - 0.5),
             circle: lens.circle / 4.0,
@@ -133,7 +133,7 @@ impl Sheet {
     }
 
     /// Where each of the camera's eyes is.
-    pub fn eyes(&self) -> Vec<Point3<f64>> {
+    pub(crate) fn eyes(&self) -> Vec<Point3<f64>> {
         match self.kind {
             Kind::Sphere { lens_distance_m } if lens_distance_m > 0.0 => {
                 [0.5, -0.5].map(|side| Point3::new(side * lens_distance_m, 0.0, 0.0)).into()
@@ -145,7 +145,7 @@ impl Sheet {
 
     /// Where eye `k` sees a point of the camera frame; `None` within `margin` pixels of the border
     /// of its picture.
-    pub fn project(&self, k: usize, point: &Point3<f64>, margin: f64) -> Option<[f64; 2]> {
+    pub(crate) fn project(&self, k: usize, point: &Point3<f64>, margin: f64) -> Option<[f64; 2]> {
         let (width, height) = (f64::from(self.width), f64::from(self.height));
         match self.kind {
             Kind::Sphere { .. } => {
@@ -178,7 +178,7 @@ impl Sheet {
 /// Lenses far enough apart that their parallax is dozens of pixels.
 const LENS_DISTANCE_M: f64 = 0.06;
 
-pub fn kannala_brandt() -> Sheet {
+pub(crate) fn kannala_brandt() -> Sheet {
     let lens = |ahead: f64, u: f64| Fisheye {
         curve: Curve::KannalaBrandt([-0.02, 0.005, -0.003, 0.0004]),
         ..Fisheye::new(ahead, LENS_DISTANCE_M / 2.0, [u, 478.7], 470.0, 285.0)
@@ -186,7 +186,7 @@ pub fn kannala_brandt() -> Sheet {
     Sheet { width: 1920, height: 960, kind: Kind::Fisheyes([lens(1.0, 478.2), lens(-1.0, 1441.9)]) }
 }
 
-pub fn double_sphere() -> Sheet {
+pub(crate) fn double_sphere() -> Sheet {
     let lens = |ahead: f64, u: f64, xi: f64, alpha: f64| Fisheye {
         curve: Curve::DoubleSphere { xi, alpha },
         ..Fisheye::new(ahead, LENS_DISTANCE_M / 2.0, [u, 478.7], 470.0, 284.0)
@@ -195,21 +195,21 @@ pub fn double_sphere() -> Sheet {
     Sheet { width: 1920, height: 960, kind: Kind::Fisheyes(lenses) }
 }
 
-pub fn equidistant() -> Sheet {
+pub(crate) fn equidistant() -> Sheet {
     let lens = |ahead: f64, u: f64| Fisheye::new(ahead, 0.0, [u, 479.5], 479.0, 286.0);
     Sheet { width: 1920, height: 960, kind: Kind::Fisheyes([lens(1.0, 479.5), lens(-1.0, 1439.5)]) }
 }
 
-pub fn plane() -> Sheet {
+pub(crate) fn plane() -> Sheet {
     Sheet { width: 1600, height: 1500, kind: Kind::Plane { field_deg: 240.0 } }
 }
 
-pub fn stitched() -> Sheet {
+pub(crate) fn stitched() -> Sheet {
     let kind = Kind::Sphere { lens_distance_m: LENS_DISTANCE_M };
     Sheet { width: 1920, height: 960, kind }
 }
 
 /// Not twice as wide as high: drawn by the same means as the fisheyes.
-pub fn stitched_and_stretched() -> Sheet {
+pub(crate) fn stitched_and_stretched() -> Sheet {
     Sheet { width: 1900, ..stitched() }
 }

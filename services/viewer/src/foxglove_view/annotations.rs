@@ -19,7 +19,7 @@ const MARKER: [u8; 3] = [0x4d, 0xe3, 0xe3];
 const STEPS: u32 = 8;
 
 /// The annotations of an equirectangular picture of `size` pixels.
-pub fn annotations(
+pub(super) fn annotations(
     resolved: &Resolved,
     ended: &EndedFrame,
     size: [u32; 2],

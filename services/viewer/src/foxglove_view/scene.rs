@@ -20,7 +20,7 @@ const LIFETIME_S: i32 = 2;
 
 /// The scene of a frame: each neighbour's body and ellipsoid, with its name. Lost neighbours are
 /// deleted.
-pub fn scene(resolved: &Resolved, tracks: &[Track], at: Timestamp) -> SceneUpdate {
+pub(super) fn scene(resolved: &Resolved, tracks: &[Track], at: Timestamp) -> SceneUpdate {
     let mut update = SceneUpdate::default();
     for track in tracks {
         let Some(body) = resolved.bodies.get(track.target as usize) else { continue };
@@ -38,7 +38,7 @@ pub fn scene(resolved: &Resolved, tracks: &[Track], at: Timestamp) -> SceneUpdat
 }
 
 /// Transforms of the camera and the neighbours to this drone's frame.
-pub fn transforms(resolved: &Resolved, tracks: &[Track], at: Timestamp) -> FrameTransforms {
+pub(super) fn transforms(resolved: &Resolved, tracks: &[Track], at: Timestamp) -> FrameTransforms {
     let transform = |child: &str, observer_from_child: &Isometry3<f64>| FrameTransform {
         timestamp: Some(at),
         parent_frame_id: OBSERVER.to_owned(),

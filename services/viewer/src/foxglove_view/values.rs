@@ -5,8 +5,8 @@ use foxglove::messages::{Color, Point3, Pose, Quaternion, Timestamp, Vector3};
 use nalgebra::{self as na, Isometry3, UnitQuaternion};
 
 /// Names of the frames of reference.
-pub const OBSERVER: &str = "observer";
-pub const CAMERA: &str = "camera";
+pub(super) const OBSERVER: &str = "observer";
+pub(super) const CAMERA: &str = "camera";
 
 /// Colours of bodies by their numbers, as on the page.
 const COLOURS: [[u8; 3]; 8] = [
@@ -20,36 +20,36 @@ const COLOURS: [[u8; 3]; 8] = [
     [0xff, 0x87, 0x87],
 ];
 
-pub fn colour(target: u32, alpha: f64) -> Color {
+pub(super) fn colour(target: u32, alpha: f64) -> Color {
     of_bytes(COLOURS[target as usize % COLOURS.len()], alpha)
 }
 
-pub fn of_bytes(rgb: [u8; 3], alpha: f64) -> Color {
+pub(super) fn of_bytes(rgb: [u8; 3], alpha: f64) -> Color {
     let [r, g, b] = rgb.map(|part| f64::from(part) / 255.0);
     Color { r, g, b, a: alpha }
 }
 
 /// A point in time, nanoseconds since 1970.
-pub fn timestamp(unix_ns: i64) -> Timestamp {
+pub(super) fn timestamp(unix_ns: i64) -> Timestamp {
     let seconds = u32::try_from(unix_ns.div_euclid(1_000_000_000)).unwrap_or(0);
     // The remainder is below 10^9.
     Timestamp::new(seconds, unix_ns.rem_euclid(1_000_000_000) as u32)
 }
 
-pub fn vector(v: &na::Vector3<f64>) -> Vector3 {
+pub(super) fn vector(v: &na::Vector3<f64>) -> Vector3 {
     Vector3 { x: v.x, y: v.y, z: v.z }
 }
 
-pub fn point(p: &na::Point3<f64>) -> Point3 {
+pub(super) fn point(p: &na::Point3<f64>) -> Point3 {
     Point3 { x: p.x, y: p.y, z: p.z }
 }
 
-pub fn quaternion(rotation: &UnitQuaternion<f64>) -> Quaternion {
+pub(super) fn quaternion(rotation: &UnitQuaternion<f64>) -> Quaternion {
     let [x, y, z, w] = xyzw(rotation);
     Quaternion { x, y, z, w }
 }
 
-pub fn pose(isometry: &Isometry3<f64>) -> Pose {
+pub(super) fn pose(isometry: &Isometry3<f64>) -> Pose {
     Pose {
         position: Some(vector(&isometry.translation.vector)),
         orientation: Some(quaternion(&isometry.rotation)),

@@ -57,7 +57,7 @@ impl ServerListener for Control {
 ///
 /// # Errors
 /// The address is in use or not this machine's, or no thread can be started.
-pub fn start(address: SocketAddr, recorded: Arc<Recorded>) -> anyhow::Result<u16> {
+pub(crate) fn start(address: SocketAddr, recorded: Arc<Recorded>) -> anyhow::Result<u16> {
     let (remote, at_ns) = (Arc::<Remote>::default(), Arc::new(AtomicU64::new(recorded.first_ns)));
     let control =
         Control { recorded: recorded.clone(), remote: remote.clone(), at_ns: at_ns.clone() };

@@ -15,7 +15,7 @@ use flockeye_recording::{
 use crate::scene::PageScene;
 
 /// The channels with messages of the contract, in the layout that this version reads.
-pub struct ContractChannels {
+pub(crate) struct ContractChannels {
     known: BTreeMap<u16, (TopicId, TopicLayout)>,
     foreign: Vec<(TopicId, &'static str)>,
 }
@@ -23,7 +23,7 @@ pub struct ContractChannels {
 impl ContractChannels {
     /// Reads the channels of a recording. A topic counts if the file defines its messages as this
     /// version does.
-    pub fn of(recording: &IndexedRecording) -> Self {
+    pub(crate) fn of(recording: &IndexedRecording) -> Self {
         let (mut known, mut foreign) = (BTreeMap::new(), Vec::new());
         for (topic, layout) in TOPICS.iter().zip(layouts()) {
             let kind = ChannelKind::of_topic(&layout);
@@ -42,22 +42,22 @@ impl ContractChannels {
     }
 
     /// Whether the file defines this topic in another way.
-    pub fn is_foreign(&self, topic: TopicId) -> bool {
+    pub(crate) fn is_foreign(&self, topic: TopicId) -> bool {
         self.foreign.iter().any(|(foreign, _)| *foreign == topic)
     }
 
     /// Names of the topics that the file defines in another way.
-    pub fn foreign(&self) -> Vec<&'static str> {
+    pub(crate) fn foreign(&self) -> Vec<&'static str> {
         self.foreign.iter().map(|(_, name)| *name).collect()
     }
 
     /// Whether a channel has messages of this topic.
-    pub fn is(&self, channel: u16, topic: TopicId) -> bool {
+    pub(crate) fn is(&self, channel: u16, topic: TopicId) -> bool {
         self.known.get(&channel).is_some_and(|(found, _)| *found == topic)
     }
 
     /// Whether the scene uses this channel's messages.
-    pub fn is_of_scene(&self, channel: u16) -> bool {
+    pub(crate) fn is_of_scene(&self, channel: u16) -> bool {
         let topic = self.known.get(&channel).map(|(topic, _)| *topic);
         matches!(
             topic,
@@ -75,12 +75,12 @@ impl ContractChannels {
         )
     }
 
-    pub fn tracks(&self, message: &IndexedMessage) -> Option<(TrackHeader, Vec<Track>)> {
+    pub(crate) fn tracks(&self, message: &IndexedMessage) -> Option<(TrackHeader, Vec<Track>)> {
         let (_, layout) = self.known.get(&message.channel)?;
         read::<Tracks>(layout, message)
     }
 
-    pub fn frame(&self, message: &IndexedMessage) -> Option<FrameHeader> {
+    pub(crate) fn frame(&self, message: &IndexedMessage) -> Option<FrameHeader> {
         let (_, layout) = self.known.get(&message.channel)?;
         let ContractMessage { header, payload_bytes, .. } = decode(layout, &message.bytes).ok()?;
         let header: FrameHeader = pod_read_unaligned(&header);
@@ -89,7 +89,7 @@ impl ContractChannels {
     }
 
     /// Passes a message to the scene, if it is complete and keeps the contract. Returns tracks.
-    pub fn hand_on(
+    pub(crate) fn hand_on(
         &self,
         message: &IndexedMessage,
         scene: &mut PageScene,

@@ -13,7 +13,7 @@ use crate::wire;
 const PARTS: usize = 800;
 
 /// Builds an overview in one pass over the file.
-pub struct OverviewMaker<'r> {
+pub(crate) struct OverviewMaker<'r> {
     recorded: &'r Recorded,
     next_chunk: usize,
     latency_ms: Vec<Option<[Option<f32>; 5]>>,
@@ -26,7 +26,7 @@ pub struct OverviewMaker<'r> {
 
 impl<'r> OverviewMaker<'r> {
     /// An empty overview, before the first chunk.
-    pub fn new(recorded: &'r Recorded) -> Self {
+    pub(crate) fn new(recorded: &'r Recorded) -> Self {
         Self {
             recorded,
             next_chunk: 0,
@@ -40,7 +40,7 @@ impl<'r> OverviewMaker<'r> {
     }
 
     /// Reads the next chunk. False: there are no more. A damaged chunk is skipped.
-    pub fn read(&mut self) -> bool {
+    pub(crate) fn read(&mut self) -> bool {
         let Recorded { recording, channels, losses, .. } = self.recorded;
         let chunk = self.next_chunk;
         if chunk >= recording.chunks().len() {
@@ -68,7 +68,7 @@ impl<'r> OverviewMaker<'r> {
     }
 
     /// The overview of the chunks that were read so far.
-    pub fn overview(&self) -> wire::Overview {
+    pub(crate) fn overview(&self) -> wire::Overview {
         let chunks = self.recorded.recording.chunks().len().max(1);
         let states = self.states.iter().map(|(target, states)| wire::TargetStates {
             target: *target,

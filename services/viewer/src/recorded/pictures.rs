@@ -26,7 +26,7 @@ type FramePicture = (FrameHeader, Vec<u8>);
 
 /// A picture as a page shows it.
 #[derive(Debug)]
-pub struct PagePicture {
+pub(crate) struct PagePicture {
     /// The frame that it shows.
     pub stamp: FrameStamp,
     /// Width and height, pixels.
@@ -36,7 +36,7 @@ pub struct PagePicture {
     pub closeups: Vec<(CloseupHead, Vec<u8>)>,
 }
 
-pub struct RecordedPictures {
+pub(crate) struct RecordedPictures {
     recorded: Arc<Recorded>,
     maker: PictureMaker,
     closeups: Option<CloseupMaker>,
@@ -46,7 +46,7 @@ pub struct RecordedPictures {
 
 impl RecordedPictures {
     /// Opens the pictures of a recording.
-    pub fn new(recorded: Arc<Recorded>) -> anyhow::Result<Self> {
+    pub(crate) fn new(recorded: Arc<Recorded>) -> anyhow::Result<Self> {
         let maker = PictureMaker::new(&recorded.resolved.camera)?;
         // A dictionary file may no longer exist.
         let closeups = CloseupMaker::new(&recorded.resolved)
@@ -56,17 +56,17 @@ impl RecordedPictures {
     }
 
     /// The reason why a picture could not be shown, if it is new.
-    pub fn trouble(&mut self) -> Option<String> {
+    pub(crate) fn trouble(&mut self) -> Option<String> {
         self.trouble.take()
     }
 
     /// The frame of the newest picture up to `frame`, which ended at `at_ns`.
-    pub fn nearest(&mut self, frame: &FrameStamp, at_ns: u64) -> Option<FrameStamp> {
+    pub(crate) fn nearest(&mut self, frame: &FrameStamp, at_ns: u64) -> Option<FrameStamp> {
         self.find(frame.order(), at_ns).map(|(chunk, place)| chunk[place].0.stamp)
     }
 
     /// Reads a picture. `of` returns the ended frame of a stamp, where it is known, for close-ups.
-    pub fn picture<'e>(
+    pub(crate) fn picture<'e>(
         &mut self,
         frame: &FrameStamp,
         at_ns: u64,

@@ -24,7 +24,7 @@ const MOST_WAITING: usize = 24;
 const REPORT_PERIOD: Duration = Duration::from_millis(500);
 
 /// Starts a player for a page, in a thread that ends with the page.
-pub fn start(recorded: Arc<Recorded>, page: Arc<OpenPage>) -> std::io::Result<()> {
+pub(crate) fn start(recorded: Arc<Recorded>, page: Arc<OpenPage>) -> std::io::Result<()> {
     let thread = std::thread::Builder::new().name("player".into());
     thread.spawn(move || {
         if let Some(remote) = &page.remote {

@@ -18,7 +18,7 @@ const WIDER: u64 = 8;
 
 /// The frames that a move has added to those that are kept.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum NewFrames {
+pub(crate) enum NewFrames {
     /// All frames that are kept.
     All,
     /// The last frames, this many.
@@ -26,7 +26,7 @@ pub enum NewFrames {
 }
 
 /// A position in a recording, with the frames before it.
-pub struct Playhead {
+pub(crate) struct Playhead {
     recorded: Arc<Recorded>,
     /// The recording from this position on.
     pub(super) tape: SceneTape,
@@ -40,7 +40,7 @@ pub struct Playhead {
 
 impl Playhead {
     /// Starts at the beginning of the recording.
-    pub fn new(recorded: Arc<Recorded>) -> Self {
+    pub(crate) fn new(recorded: Arc<Recorded>) -> Self {
         let at_ns = recorded.first_ns;
         let tape = SceneTape::at(recorded.clone(), at_ns);
         let mut playhead = Self { recorded, tape, recent: VecDeque::new(), current: 0, at_ns };
@@ -48,17 +48,17 @@ impl Playhead {
         playhead
     }
 
-    pub fn current(&self) -> Option<&EndedFrame> {
+    pub(crate) fn current(&self) -> Option<&EndedFrame> {
         self.recent.get(self.current)
     }
 
     /// Whether the end of the recording is reached.
-    pub fn is_at_end(&self) -> bool {
+    pub(crate) fn is_at_end(&self) -> bool {
         self.at_ns >= self.recorded.last_ns
     }
 
     /// Shows the last frame that ended until this time, or the first of all.
-    pub fn seek(&mut self, to_ns: u64) -> NewFrames {
+    pub(crate) fn seek(&mut self, to_ns: u64) -> NewFrames {
         let to_ns = to_ns.clamp(self.recorded.first_ns, self.recorded.last_ns);
         let mut lead_ns = LEAD_NS;
         loop {
@@ -87,7 +87,7 @@ impl Playhead {
     }
 
     /// Shows the frame `frames` further on, or back if negative, as far as there are frames.
-    pub fn step(&mut self, frames: i32) -> NewFrames {
+    pub(crate) fn step(&mut self, frames: i32) -> NewFrames {
         let mut new = NewFrames::Last(0);
         let mut left = frames.unsigned_abs() as usize;
         while left > 0 {
@@ -125,7 +125,7 @@ impl Playhead {
     }
 
     /// Advances to this time.
-    pub fn advance(&mut self, to_ns: u64) -> NewFrames {
+    pub(crate) fn advance(&mut self, to_ns: u64) -> NewFrames {
         let to_ns = to_ns.min(self.recorded.last_ns);
         // After a step back the later frames that were read must appear in their time again.
         if self.current + 1 < self.recent.len() {

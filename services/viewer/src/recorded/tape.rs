@@ -10,7 +10,7 @@ use crate::scene::{EndedFrame, PageScene};
 use crate::wire::{DroneSummary, ProcessReport, SightingSummary};
 
 /// A position in a recording, and the scene there.
-pub struct SceneTape {
+pub(crate) struct SceneTape {
     recorded: Arc<Recorded>,
     scene: PageScene,
     waiting: VecDeque<IndexedMessage>,
@@ -20,7 +20,7 @@ pub struct SceneTape {
 
 impl SceneTape {
     /// Starts at the first chunk that may hold messages of this time.
-    pub fn at(recorded: Arc<Recorded>, utc_ns: u64) -> Self {
+    pub(crate) fn at(recorded: Arc<Recorded>, utc_ns: u64) -> Self {
         Self {
             scene: PageScene::new(recorded.is_real_time()),
             waiting: VecDeque::new(),
@@ -31,7 +31,7 @@ impl SceneTape {
     }
 
     /// The next frame that ended until `until_ns`. `None`: all frames before that time were taken.
-    pub fn next_until(&mut self, until_ns: u64) -> Option<EndedFrame> {
+    pub(crate) fn next_until(&mut self, until_ns: u64) -> Option<EndedFrame> {
         loop {
             while let Some(message) = self.waiting.front() {
                 if message.utc_ns > until_ns {
@@ -58,17 +58,20 @@ impl SceneTape {
     }
 
     /// The reason why a chunk could not be read, if it is new.
-    pub fn trouble(&mut self) -> Option<String> {
+    pub(crate) fn trouble(&mut self) -> Option<String> {
         self.trouble.take()
     }
 
     /// Reports of the stages until this time.
-    pub fn stages(&mut self, utc_ns: u64) -> Vec<ProcessReport> {
+    pub(crate) fn stages(&mut self, utc_ns: u64) -> Vec<ProcessReport> {
         self.scene.stages(self.recorded.monotonic_ns(utc_ns))
     }
 
     /// Poses and sightings of the swarm at this time.
-    pub fn swarm(&mut self, utc_ns: u64) -> Option<(Vec<DroneSummary>, Vec<SightingSummary>)> {
+    pub(crate) fn swarm(
+        &mut self,
+        utc_ns: u64,
+    ) -> Option<(Vec<DroneSummary>, Vec<SightingSummary>)> {
         self.scene.swarm(self.recorded.monotonic_ns(utc_ns))
     }
 

@@ -19,7 +19,7 @@ use super::{lossless, written};
 ///
 /// # Errors
 /// `flockeye up` fails, no body is seen often enough, or the file cannot be written.
-pub fn run(configuration: &Configuration, path: &Path) -> anyhow::Result<()> {
+pub(crate) fn run(configuration: &Configuration, path: &Path) -> anyhow::Result<()> {
     let configuration = lossless(configuration)?;
     let bodies = flockeye_config::bodies(&configuration.load()?.bodies)?;
     // The file is opened first, so that an unwritable file is reported before the long run.

@@ -20,7 +20,7 @@ const USUAL_FLIGHT: Duration = Duration::from_secs(30);
 
 /// Arguments of `calibrate imu`.
 #[derive(Debug, Args)]
-pub struct CalibrateImuArguments {
+pub(crate) struct CalibrateImuArguments {
     /// Which configuration: the camera, the source, and the inertial sensor.
     #[command(flatten)]
     pub configuration: Configuration,
@@ -37,7 +37,7 @@ pub struct CalibrateImuArguments {
 ///
 /// # Errors
 /// No sensor is configured, `flockeye up` fails, or the flight does not determine the result.
-pub fn run(arguments: &CalibrateImuArguments) -> anyhow::Result<()> {
+pub(crate) fn run(arguments: &CalibrateImuArguments) -> anyhow::Result<()> {
     let found = fly(arguments, &[])?;
     show(arguments.json, || as_json(&found), || text(&found))
 }

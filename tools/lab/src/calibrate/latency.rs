@@ -18,7 +18,7 @@ const DISTANCE_M: f64 = 1.5;
 const SPEED_M_S: f64 = 1.0;
 
 /// Runs the pipeline with the sensor, and prints the camera's latency.
-pub fn run(arguments: &CalibrateImuArguments) -> anyhow::Result<()> {
+pub(crate) fn run(arguments: &CalibrateImuArguments) -> anyhow::Result<()> {
     let known_ms = arguments.configuration.load()?.inertial.time_offset_ms;
     let found = imu::fly(arguments, &["camera.latency_ms=0"])?;
     let latency_ms = latency_ms(&found, known_ms);

@@ -16,7 +16,7 @@ const MUCH_SCATTER: f64 = 2.0;
 ///
 /// # Errors
 /// `flockeye up` fails, the camera has one centre, or no body spans the seam often enough.
-pub fn run(configuration: &Configuration, json: bool) -> anyhow::Result<()> {
+pub(crate) fn run(configuration: &Configuration, json: bool) -> anyhow::Result<()> {
     let configuration = frame_by_frame(configuration);
     let resolved = Resolved::of(configuration.load()?)?;
     // This check is first, so that a camera with one centre is refused before the long run.

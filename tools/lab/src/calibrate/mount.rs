@@ -19,7 +19,7 @@ use super::{STATED_AT_M, frame_by_frame, mount_of, show, written};
 
 /// Arguments of `calibrate mount`.
 #[derive(Debug, Args)]
-pub struct CalibrateMountArguments {
+pub(crate) struct CalibrateMountArguments {
     /// Which configuration: the camera, the bodies, and the pictures as its source (a folder of
     /// images, or a video).
     #[command(flatten)]
@@ -40,7 +40,7 @@ pub struct CalibrateMountArguments {
 ///
 /// # Errors
 /// The file of places is wrong, `flockeye up` fails, or the places do not determine the mount.
-pub fn run(arguments: &CalibrateMountArguments) -> anyhow::Result<()> {
+pub(crate) fn run(arguments: &CalibrateMountArguments) -> anyhow::Result<()> {
     let bench: MeasuringBench = read_document(&arguments.places)?;
     let configuration = frame_by_frame(&arguments.configuration);
     let pipeline = configuration.load()?;

@@ -32,7 +32,7 @@ const PIXELS_PER_RADIAN: f64 = 3840.0 / std::f64::consts::TAU;
 
 /// Arguments of `calibrate response`.
 #[derive(Debug, Args)]
-pub struct CalibrateResponseArguments {
+pub(crate) struct CalibrateResponseArguments {
     /// The pictures of one scene, from a tripod, and how long each was exposed: a.png=1/250
     /// b.png=1/60 c.png=0.07. Three or more, with everything automatic off.
     #[arg(required = true, value_name = "PICTURE=SECONDS", value_parser = picture)]
@@ -76,7 +76,7 @@ fn picture(text: &str) -> Result<(PathBuf, f64), String> {
 }
 
 /// Measures the response, and prints it for `pipeline.yaml`.
-pub fn run(arguments: &CalibrateResponseArguments) -> anyhow::Result<()> {
+pub(crate) fn run(arguments: &CalibrateResponseArguments) -> anyhow::Result<()> {
     let found = of_pictures(&arguments.pictures, arguments.range)?;
     show(arguments.json, || found.as_json(), || found.text())
 }

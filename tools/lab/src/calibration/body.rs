@@ -33,7 +33,7 @@ type BodyFrame = BundleFrame<MarkerSighting>;
 
 /// The calibrated pose of a marker.
 #[derive(Debug, Clone, PartialEq)]
-pub struct CalibratedMarker {
+pub(crate) struct CalibratedMarker {
     /// The marker at its calibrated pose, in its printed size.
     pub marker: Marker,
     /// Shift from the designed centre to the calibrated one, in the markers' frame, metres.
@@ -49,19 +49,19 @@ pub struct CalibratedMarker {
 
 impl CalibratedMarker {
     /// Standard deviation of the position: the root of the expected squared distance, metres.
-    pub fn shift_deviation_m(&self) -> f64 {
+    pub(crate) fn shift_deviation_m(&self) -> f64 {
         position_deviation_m(&self.covariance)
     }
 
     /// Standard deviation of the orientation: the root of the expected squared angle, radians.
-    pub fn turn_deviation_rad(&self) -> f64 {
+    pub(crate) fn turn_deviation_rad(&self) -> f64 {
         rotation_deviation_rad(&self.covariance)
     }
 }
 
 /// The result for a body.
 #[derive(Debug, Clone, PartialEq)]
-pub struct BodyCalibration {
+pub(crate) struct BodyCalibration {
     /// The body with its calibrated markers. Markers that were seen too seldom stay as designed.
     pub body: Body,
     /// The calibrated markers, by rising id.
@@ -78,7 +78,7 @@ pub struct BodyCalibration {
 /// were seen in it, also of other bodies, and each corner as often as it was seen.
 ///
 /// Frames with an ambiguous pose are skipped, and so are markers that do not fit a frame's pose.
-pub fn calibrate(
+pub(crate) fn calibrate(
     body: &Body,
     frames: &[Vec<CornerRay>],
 ) -> Result<BodyCalibration, CalibrationError> {

@@ -9,7 +9,7 @@ pub(super) const LEAST_FRAMES: usize = 30;
 
 /// The reason why a calibration is impossible.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub enum CalibrationError {
+pub(crate) enum CalibrationError {
     /// Too few frames show two or more markers of a body.
     #[error(
         "body '{body}' was seen with two markers or more in {frames} frames; {needed} are needed. \

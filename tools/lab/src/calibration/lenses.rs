@@ -43,7 +43,7 @@ const WORST_TURN_RAD: f64 = 0.009;
 /// The calibrated unknowns of the camera model.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[expect(clippy::large_enum_variant, reason = "there is one for each calibration")]
-pub enum FoundLenses {
+pub(crate) enum FoundLenses {
     /// The distance between the two lenses of a stitched image.
     Distance {
         /// The distance, metres.
@@ -63,7 +63,7 @@ pub enum FoundLenses {
 
 /// The result for the lenses.
 #[derive(Debug, Clone, PartialEq)]
-pub struct LensCalibration {
+pub(crate) struct LensCalibration {
     /// The calibrated unknowns. Their deviations are enlarged if rays scatter more than stated.
     pub found: FoundLenses,
     /// Change from the configured lenses: shift (m), then rotation vector (rad) of the second lens
@@ -92,12 +92,12 @@ pub struct LensCalibration {
 impl LensCalibration {
     /// Position error of a neighbour at this distance in the second lens, in the worst direction,
     /// due to the covariance. It is the root of the expected squared error, metres.
-    pub fn error_at_m(&self, distance_m: f64) -> f64 {
+    pub(crate) fn error_at_m(&self, distance_m: f64) -> f64 {
         self.share * self.worst(&self.covariance, distance_m / self.share)
     }
 
     /// Position error of such a neighbour with the lenses as configured, metres.
-    pub fn configured_error_at_m(&self, distance_m: f64) -> f64 {
+    pub(crate) fn configured_error_at_m(&self, distance_m: f64) -> f64 {
         let squared = self.change * self.change.transpose();
         self.share * self.worst(&squared, distance_m / self.share)
     }
@@ -112,7 +112,7 @@ impl LensCalibration {
 ///
 /// Skipped are frames in which no body spans the seam, frames with an ambiguous pose, and markers
 /// across or next to the seam.
-pub fn calibrate(
+pub(crate) fn calibrate(
     camera: &Camera,
     bodies: &[Body],
     frames: &[Vec<CornerRay>],

@@ -15,7 +15,7 @@ const GOLDEN_ANGLE: f64 = 2.399_963_229_728_653;
 /// `covariance` is that of the transform: position (m), then rotation vector (rad) about the
 /// source's origin, both in the target's axes. For one known error `e` it is `e * e.transpose()`.
 /// Only directions with `is_seen` count, unit vectors in the target's axes.
-pub fn worst_error_m(
+pub(super) fn worst_error_m(
     covariance: &Matrix6<f64>,
     distance_m: f64,
     is_seen: impl Fn(&Vector3<f64>) -> bool,

@@ -15,7 +15,7 @@ use super::gauge::alignment;
 use super::leverage::worst_error_m;
 use super::weighted_ray::{difference, moved};
 use flockeye_geometry::filter::chi_square_quantile;
-pub use still::{StillPose, still_pose};
+pub(crate) use still::{StillPose, still_pose};
 
 /// Largest standard deviation of a determined turn, degrees.
 const WORST_TURN_DEG: f64 = 2.0;
@@ -28,7 +28,7 @@ const MAX_STEPS: usize = 50;
 
 /// A body at a measured place.
 #[derive(Debug, Clone, PartialEq)]
-pub struct MeasuredPlace {
+pub(crate) struct MeasuredPlace {
     /// The body's pose, measured by the camera.
     pub seen: StillPose,
     /// Position of the body's origin in the drone's frame, metres.
@@ -42,7 +42,7 @@ pub struct MeasuredPlace {
 
 /// The residual at a place.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct PlaceResidual {
+pub(crate) struct PlaceResidual {
     /// Residual from the position by the camera to the measured one, in the drone's frame, metres.
     pub residual_m: Vector3<f64>,
     /// Expected size of the residual: the root of the expected squared distance, metres.
@@ -56,7 +56,7 @@ pub struct PlaceResidual {
 
 /// Comparison of the residuals with the stated deviations.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Agreement {
+pub(crate) enum Agreement {
     /// Residuals are as large as stated.
     AsStated,
     /// Residuals are smaller: places or poses were measured better than stated.
@@ -67,7 +67,7 @@ pub enum Agreement {
 
 /// The calibrated mount.
 #[derive(Debug, Clone, PartialEq)]
-pub struct MountCalibration {
+pub(crate) struct MountCalibration {
     /// The camera's pose on the drone.
     pub observer_from_camera: Isometry3<f64>,
     /// Covariance of the pose: position (m), then rotation vector (rad), both in the drone's axes.
@@ -86,26 +86,29 @@ pub struct MountCalibration {
 impl MountCalibration {
     /// Standard deviations of the position along x, y and z, metres, then of the rotation about
     /// them, radians.
-    pub fn deviations(&self) -> [f64; 6] {
+    pub(crate) fn deviations(&self) -> [f64; 6] {
         self.covariance.diagonal().map(f64::sqrt).into()
     }
 
     /// Position error of a neighbour at this distance, in the worst direction, due to the
     /// covariance. It is the root of the expected squared error, metres.
-    pub fn error_at_m(&self, distance_m: f64) -> f64 {
+    pub(crate) fn error_at_m(&self, distance_m: f64) -> f64 {
         worst_error_m(&self.covariance, distance_m, |_| true)
     }
 
     /// Position error of a neighbour at this distance with another mount than the calibrated one,
     /// in the worst direction, metres.
-    pub fn error_of_m(&self, other: &Isometry3<f64>, distance_m: f64) -> f64 {
+    pub(crate) fn error_of_m(&self, other: &Isometry3<f64>, distance_m: f64) -> f64 {
         let error = difference(&self.observer_from_camera, other);
         worst_error_m(&(error * error.transpose()), distance_m, |_| true)
     }
 }
 
 /// The covariance of a pose (position, then rotation vector) in other axes.
-pub fn turned_covariance(turn: &UnitQuaternion<f64>, covariance: &Matrix6<f64>) -> Matrix6<f64> {
+pub(crate) fn turned_covariance(
+    turn: &UnitQuaternion<f64>,
+    covariance: &Matrix6<f64>,
+) -> Matrix6<f64> {
     let rotation = turn.to_rotation_matrix();
     let mut both = Matrix6::zeros();
     both.fixed_view_mut::<3, 3>(0, 0).copy_from(rotation.matrix());
@@ -114,7 +117,7 @@ pub fn turned_covariance(turn: &UnitQuaternion<f64>, covariance: &Matrix6<f64>) 
 }
 
 /// Finds the camera's pose on the drone.
-pub fn fit(places: &[MeasuredPlace]) -> Result<MountCalibration, CalibrationError> {
+pub(crate) fn fit(places: &[MeasuredPlace]) -> Result<MountCalibration, CalibrationError> {
     if places.len() < LEAST_PLACES {
         return Err(CalibrationError::TooFewPlaces { places: places.len() });
     }

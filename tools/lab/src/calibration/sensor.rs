@@ -25,7 +25,7 @@ const MIRRORED: f64 = 4.0;
 
 /// The camera's rotation between two frames, measured in the picture.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct TurnSeen {
+pub(crate) struct TurnSeen {
     /// Exposure of the earlier frame, seconds.
     pub earlier_s: f64,
     /// Exposure of the later frame, seconds.
@@ -36,7 +36,7 @@ pub struct TurnSeen {
 
 /// The result for a sensor.
 #[derive(Debug, Clone, PartialEq)]
-pub struct SensorCalibration {
+pub(crate) struct SensorCalibration {
     /// Turns the sensor's axes into the camera's.
     pub camera_from_sensor: UnitQuaternion<f64>,
     /// Offset from the sensor's time to the camera's time, seconds.
@@ -67,7 +67,7 @@ struct ClosedForm {
 
 /// Finds mounting, time offset and bias of the sensor with the samples `record`, from the picture's
 /// rotations in the same flight.
-pub fn calibrate(
+pub(crate) fn calibrate(
     seen: &[TurnSeen],
     record: &RateRecord,
 ) -> Result<SensorCalibration, CalibrationError> {

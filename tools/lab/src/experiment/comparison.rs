@@ -14,7 +14,7 @@ use crate::evaluation::Evaluation;
 
 /// Arguments of the experiments that compare.
 #[derive(Debug, Args)]
-pub struct ComparisonArguments {
+pub(crate) struct ComparisonArguments {
     /// Which configuration. Its flow is lossless.
     #[command(flatten)]
     pub configuration: Configuration,

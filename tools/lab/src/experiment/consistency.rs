@@ -19,7 +19,7 @@ use crate::evaluation::{measurement_sample, track_sample};
 
 /// Arguments of `experiment consistency`.
 #[derive(Debug, Args)]
-pub struct ConsistencyArguments {
+pub(crate) struct ConsistencyArguments {
     /// Which configuration. Its flow is lossless, its source simulated.
     #[command(flatten)]
     pub configuration: Configuration,

@@ -13,7 +13,7 @@ use super::photographs::{self, PhotographComparison};
 
 /// Arguments of `experiment detectors`.
 #[derive(Debug, Args)]
-pub struct DetectorsArguments {
+pub(crate) struct DetectorsArguments {
     /// Search the photographs in this folder, each as one view, in place of a flight.
     #[arg(long, value_name = "FOLDER")]
     pub photographs: Option<PathBuf>,

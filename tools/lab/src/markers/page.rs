@@ -4,7 +4,7 @@ use clap::ValueEnum;
 
 /// Paper sizes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum Paper {
+pub(crate) enum Paper {
     /// 210 x 297 mm.
     A4,
     /// 215.9 x 279.4 mm.
@@ -14,7 +14,7 @@ pub enum Paper {
 }
 
 impl Paper {
-    pub fn name(self) -> &'static str {
+    pub(crate) fn name(self) -> &'static str {
         match self {
             Self::A4 => "a4",
             Self::Letter => "letter",
@@ -23,7 +23,7 @@ impl Paper {
     }
 
     /// Width and height, millimetres.
-    pub fn size_mm(self) -> [f64; 2] {
+    pub(crate) fn size_mm(self) -> [f64; 2] {
         match self {
             Self::A4 => [210.0, 297.0],
             Self::Letter => [215.9, 279.4],
@@ -33,7 +33,7 @@ impl Paper {
 }
 
 /// A sheet, or a facet that is laid on it.
-pub struct PaperDrawing {
+pub(super) struct PaperDrawing {
     /// Width and height, millimetres.
     pub size_mm: [f64; 2],
     /// The shapes, the lowest first. The background is white.
@@ -41,7 +41,7 @@ pub struct PaperDrawing {
 }
 
 /// A black area, a line or a text.
-pub enum Ink {
+pub(super) enum Ink {
     /// A black area with holes: the loops are filled by the even-odd rule.
     Black(Vec<Vec<[f64; 2]>>),
     /// A closed grey line for cutting, 0.2 mm wide.
@@ -58,7 +58,7 @@ pub enum Ink {
 
 impl Ink {
     /// The shape, moved by `x` and `y` millimetres.
-    pub fn moved(&self, [x, y]: [f64; 2]) -> Self {
+    pub(super) fn moved(&self, [x, y]: [f64; 2]) -> Self {
         let place = |points: &[[f64; 2]]| points.iter().map(|p| [p[0] + x, p[1] + y]).collect();
         match self {
             Self::Black(loops) => Self::Black(loops.iter().map(|points| place(points)).collect()),

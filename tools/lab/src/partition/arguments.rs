@@ -8,7 +8,7 @@ use flockeye_geometry::partition::{Criterion, FEWEST, MOST, Method, PartitionErr
 
 /// Arguments of `partition`.
 #[derive(Debug, Args)]
-pub struct PartitionArguments {
+pub(crate) struct PartitionArguments {
     /// Numbers of views, from 4 to 128: 12, 6,12,24 or 4..32 (inclusive).
     #[arg(long, default_value = "4..32", value_parser = counts)]
     pub counts: ViewCounts,
@@ -43,7 +43,7 @@ pub struct PartitionArguments {
 }
 
 /// Numbers of views. clap would treat a plain `Vec` field as an option with several values.
-pub type ViewCounts = Vec<usize>;
+pub(super) type ViewCounts = Vec<usize>;
 
 /// Parser of the method that finds the directions of a partition.
 fn methods() -> impl TypedValueParser<Value = Method> {
@@ -58,7 +58,7 @@ fn methods() -> impl TypedValueParser<Value = Method> {
 }
 
 /// Parses numbers of views: `12`, `6,12,24`, `4..32`.
-pub fn counts(text: &str) -> Result<ViewCounts, String> {
+pub(super) fn counts(text: &str) -> Result<ViewCounts, String> {
     let number = |text: &str| {
         let number = text.trim().parse::<usize>();
         let number =
@@ -83,7 +83,7 @@ pub fn counts(text: &str) -> Result<ViewCounts, String> {
 }
 
 /// Parses weights: `0.2,0.02,0.78`.
-pub fn weights(text: &str) -> Result<Criterion, String> {
+pub(super) fn weights(text: &str) -> Result<Criterion, String> {
     let numbers = text.split(',').map(|part| part.trim().parse::<f64>());
     let numbers = numbers.collect::<Result<Vec<_>, _>>().ok();
     let numbers = numbers.and_then(|numbers| <[f64; 3]>::try_from(numbers).ok());

@@ -10,7 +10,7 @@ use super::arguments::PartitionArguments;
 
 /// Properties and cost of a partition.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct PartitionRow {
+pub(crate) struct PartitionRow {
     /// The paper's N.
     pub count: usize,
     /// The paper's theta, the circles' diameter, degrees.
@@ -33,7 +33,7 @@ pub struct PartitionRow {
 
 /// Properties of square views.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct SquareViews {
+pub(crate) struct SquareViews {
     /// Field along a side, degrees.
     pub field_deg: f64,
     /// Pixels along a side.
@@ -48,7 +48,7 @@ pub struct SquareViews {
 
 /// The whole table.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct PartitionTable {
+pub(crate) struct PartitionTable {
     /// covering or paper.
     pub method: &'static str,
     /// Seed of the random start.
@@ -131,7 +131,7 @@ fn pixels_per_radian(width: u32) -> f64 {
 
 impl PartitionTable {
     /// The table of these partitions.
-    pub fn of(
+    pub(crate) fn of(
         arguments: &PartitionArguments,
         partitions: &[Partition],
     ) -> Result<Self, PartitionError> {
@@ -153,7 +153,7 @@ impl PartitionTable {
     }
 
     /// JSON with a line for each partition.
-    pub fn to_json(&self) -> serde_json::Result<String> {
+    pub(crate) fn to_json(&self) -> serde_json::Result<String> {
         let head = Self { partitions: Vec::new(), ..self.clone() };
         let head = serde_json::to_string(&head)?;
         let rows = self.partitions.iter().map(serde_json::to_string);

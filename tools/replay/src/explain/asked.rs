@@ -11,7 +11,7 @@ use clap::Parser;
     after_help = "A recording with its views from the first frame on tells all (recording.folder, recording.frames: views). \
                   Of others it is said what the messages tell. docs/RECORDING.md has an example."
 )]
-pub struct ExplainArguments {
+pub(crate) struct ExplainArguments {
     /// The recording.
     #[arg(value_name = "FILE.mcap")]
     pub file: PathBuf,
@@ -36,7 +36,7 @@ pub struct ExplainArguments {
 
 /// The way in which a frame is named.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum When {
+pub(crate) enum When {
     /// The last frame that was exposed at or before this time, seconds since the recording began.
     At(f64),
     /// The first frame with this number.
@@ -54,7 +54,7 @@ pub enum When {
 
 impl ExplainArguments {
     /// The requested frame.
-    pub fn when(&self) -> anyhow::Result<When> {
+    pub(crate) fn when(&self) -> anyhow::Result<When> {
         Ok(match (&self.at, &self.frame) {
             (_, Some(frame)) => named(frame)?,
             (Some(at), None) => When::At(seconds(at)?),

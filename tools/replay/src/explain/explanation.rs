@@ -6,7 +6,7 @@ use serde::Serialize;
 
 /// The reason why a frame gave this pose of a target, or none.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct FrameExplanation {
+pub(super) struct FrameExplanation {
     pub recording: String,
     pub target: String,
     pub frame: FrameFacts,
@@ -37,7 +37,7 @@ pub struct FrameExplanation {
 /// The step of the pipeline that decided the result.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
-pub enum DecisiveStep {
+pub(super) enum DecisiveStep {
     /// The target was measured.
     Measured,
     /// A pose was measured after the end of the frame, and only corrected the track.
@@ -76,7 +76,7 @@ pub enum DecisiveStep {
 
 /// Facts about the frame.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct FrameFacts {
+pub(super) struct FrameFacts {
     /// Sequence number.
     pub sequence: u64,
     pub epoch: u32,
@@ -94,7 +94,7 @@ pub struct FrameFacts {
 
 /// The track before the frame.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
-pub struct BeforeFacts {
+pub(super) struct BeforeFacts {
     /// State of the track; null: there was no track.
     pub state: Option<TrackState>,
     /// Number of the track.
@@ -113,7 +113,7 @@ pub struct BeforeFacts {
 
 /// A pose of the target drone in the observer's frame.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct PoseFacts {
+pub(super) struct PoseFacts {
     /// Position, metres.
     pub position: [f64; 3],
     /// Orientation: quaternion x, y, z, w.
@@ -128,7 +128,7 @@ pub struct PoseFacts {
 
 /// Standard deviations, all axes together.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Deviations {
+pub(super) struct Deviations {
     pub position_m: f64,
     /// Standard deviation of the orientation.
     pub rotation_deg: f64,
@@ -136,7 +136,7 @@ pub struct Deviations {
 
 /// A view of the frame or of its plan.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct ViewFacts {
+pub(super) struct ViewFacts {
     /// Index of the view in the plan.
     pub view_index: u32,
     /// Kind of the view.
@@ -163,7 +163,7 @@ pub struct ViewFacts {
 
 /// A marker of the target, or a square that is probably one.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct MarkerFacts {
+pub(super) struct MarkerFacts {
     pub id: u32,
     pub view_index: u32,
     /// Whether the marker was decoded. Other squares are only starting points for alignment.
@@ -179,7 +179,7 @@ pub struct MarkerFacts {
 /// The pose to which residuals are relative.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
-pub enum ResidualOf {
+pub(super) enum ResidualOf {
     /// The frame's measurement.
     Measurement,
     /// The likeliest hypothesis.
@@ -190,7 +190,7 @@ pub enum ResidualOf {
 
 /// A pass of fusion over the target, or why it did not run.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct PassFacts {
+pub(super) struct PassFacts {
     /// Name of the pass.
     pub pass: &'static str,
     /// The reason why the pass did not run.
@@ -215,7 +215,7 @@ pub struct PassFacts {
 
 /// A pose from corners.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct CornerFacts {
+pub(super) struct CornerFacts {
     pub pose: PoseFacts,
     /// Cost of the pose, in squared standard deviations.
     pub cost: f64,
@@ -231,7 +231,7 @@ pub struct CornerFacts {
 
 /// A pose that was compared with the picture.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct HypothesisFacts {
+pub(super) struct HypothesisFacts {
     /// Source of the hypothesis.
     pub source: &'static str,
     /// The pose; null if it could not be compared with the picture.
@@ -255,7 +255,7 @@ pub struct HypothesisFacts {
 
 /// The terms of a hypothesis' log odds.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct LogOddsTerms {
+pub(super) struct LogOddsTerms {
     pub picture: f64,
     /// Part of the picture's log odds from all facets except the most informative one.
     pub picture_of_other_facets: f64,
@@ -269,7 +269,7 @@ pub struct LogOddsTerms {
 
 /// The published result.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct ResultFacts {
+pub(super) struct ResultFacts {
     /// The state of the track.
     pub state: Option<TrackState>,
     /// Method of the frame's measurement.
@@ -292,7 +292,7 @@ pub struct ResultFacts {
 
 /// Latency of each stage, milliseconds.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct StageLatencies {
+pub(super) struct StageLatencies {
     /// From exposure to frame.
     pub capture: Option<f64>,
     /// From frame to view.
@@ -306,7 +306,7 @@ pub struct StageLatencies {
 
 /// The truth from a simulated source.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct TruthFacts {
+pub(super) struct TruthFacts {
     pub pose: PoseFacts,
     /// Error of the measurement, or else of the track.
     pub error: Option<Deviations>,
@@ -320,7 +320,7 @@ pub struct TruthFacts {
 
 /// Reliability of an answer.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
-pub struct Reliance {
+pub(super) struct Reliance {
     /// Whether replayed fusion gave the recorded messages, byte by byte.
     pub is_exact: bool,
     /// First difference between replayed and recorded messages.

@@ -25,7 +25,11 @@ use super::{judgement, passes};
 use flockeye_fusion::{candidate_rays, decoded_rays};
 
 /// Makes the answer for a frame.
-pub fn explanation(path: &Path, resolved: &Resolved, known: &FrameKnowledge) -> FrameExplanation {
+pub(super) fn explanation(
+    path: &Path,
+    resolved: &Resolved,
+    known: &FrameKnowledge,
+) -> FrameExplanation {
     let FrameKnowledge { gathered, stamp, .. } = known;
     let body = resolved.bodies.get(known.target);
     let place = place(resolved, known);

@@ -15,7 +15,7 @@ const LAST_FRAME_S: f64 = 0.25;
 
 /// The frames of a recording.
 #[derive(Debug)]
-pub struct FrameList {
+pub(super) struct FrameList {
     stamps: BTreeMap<FrameOrder, FrameStamp>,
     /// Beginning of the recording on the clock of the exposures, nanoseconds.
     begun_ns: i64,
@@ -25,7 +25,7 @@ pub struct FrameList {
 
 impl FrameList {
     /// Reads a recording to its end or to the damage.
-    pub fn of(path: &Path) -> anyhow::Result<Self> {
+    pub(super) fn of(path: &Path) -> anyhow::Result<Self> {
         let mut recorded = RecordedFlight::open(path)?;
         let mut stamps = BTreeMap::new();
         let mut first_utc_ns = None;
@@ -63,7 +63,7 @@ impl FrameList {
 
     /// The requested frame, and its exposure, seconds since the recording began. Numbers repeat
     /// after a restart of the source; then the first frame with the number is returned.
-    pub fn chosen(&self, when: When) -> anyhow::Result<(FrameStamp, f64)> {
+    pub(super) fn chosen(&self, when: When) -> anyhow::Result<(FrameStamp, f64)> {
         let found = match when {
             When::Frame(number) => self.stamps.values().find(|stamp| stamp.sequence == number),
             When::Exactly { source, epoch, number } => self.stamps.values().find(|stamp| {

@@ -15,7 +15,7 @@ const PLANS: usize = 16;
 
 /// Messages about a frame.
 #[derive(Debug)]
-pub struct StageMessages {
+pub(super) struct StageMessages {
     stamp: FrameStamp,
     target: u32,
     plans: BTreeMap<u64, (PlanHeader, Vec<PlannedView>)>,
@@ -40,7 +40,7 @@ pub struct StageMessages {
 }
 
 /// The frame of a message.
-pub fn stamp_of(message: &FlightMessage) -> Option<FrameStamp> {
+pub(super) fn stamp_of(message: &FlightMessage) -> Option<FrameStamp> {
     match message {
         FlightMessage::Frame(header) => Some(header.stamp),
         FlightMessage::Header(header) | FlightMessage::View(header, _) => Some(header.stamp),
@@ -55,7 +55,7 @@ pub fn stamp_of(message: &FlightMessage) -> Option<FrameStamp> {
 
 impl StageMessages {
     /// Begins for this frame and target, before the first message.
-    pub fn of(stamp: FrameStamp, target: u32) -> Self {
+    pub(super) fn of(stamp: FrameStamp, target: u32) -> Self {
         Self {
             stamp,
             target,
@@ -74,30 +74,30 @@ impl StageMessages {
     }
 
     /// Whether fusion has sent its last message about the frame, or several later frames were seen.
-    pub fn is_over(&self) -> bool {
+    pub(super) fn is_over(&self) -> bool {
         // Frames end in order, and only a few may be open at a time.
         self.has_last || self.later_frames() > PLANS
     }
 
     /// The number of later frames that were seen.
-    pub fn later_frames(&self) -> usize {
+    pub(super) fn later_frames(&self) -> usize {
         self.later_frames.len()
     }
 
     /// Whether fusion has ended the frame.
-    pub fn has_ended(&self) -> bool {
+    pub(super) fn has_ended(&self) -> bool {
         self.has_last
     }
 
     /// The plan that the frame followed.
-    pub fn plan(&self) -> Option<&(PlanHeader, Vec<PlannedView>)> {
+    pub(super) fn plan(&self) -> Option<&(PlanHeader, Vec<PlannedView>)> {
         let by_end = self.end.map(|end| end.plan_id);
         let plan_id = by_end.or_else(|| self.views.values().next().map(|(view, _)| view.plan_id));
         self.plans.get(&plan_id?)
     }
 
     /// Takes a message of the recording.
-    pub fn on(&mut self, message: &FlightMessage) {
+    pub(super) fn on(&mut self, message: &FlightMessage) {
         let (own, order) = (self.stamp.order(), stamp_of(message).map(|stamp| stamp.order()));
         match message {
             FlightMessage::Plan(header, views, _) => {
@@ -153,14 +153,14 @@ impl StageMessages {
     }
 
     /// The last track of the target in this frame; one that measured it comes first.
-    pub fn track(&self) -> Option<&Track> {
+    pub(super) fn track(&self) -> Option<&Track> {
         let own = || self.tracks.iter().filter(|track| track.target == self.target);
         let measured = own().rfind(|track| track.measured_by != MeasuredBy::Nothing.code());
         measured.or_else(|| own().next_back())
     }
 
     /// The truth about the target.
-    pub fn true_body(&self) -> Option<&BodyTruth> {
+    pub(super) fn true_body(&self) -> Option<&BodyTruth> {
         let (_, bodies) = self.truth.as_ref()?;
         bodies.iter().find(|body| body.target == self.target)
     }

@@ -14,7 +14,7 @@ use super::poses::TargetPlace;
 const ELSEWHERE_RAD: f64 = 0.1;
 
 /// The step that decided the result, and its description.
-pub fn of(
+pub(super) fn of(
     known: &FrameKnowledge,
     explanation: &FrameExplanation,
     place: Option<&TargetPlace>,
@@ -241,7 +241,7 @@ fn searched(explanation: &FrameExplanation) -> String {
 }
 
 /// The name of a view for people.
-pub fn name_of(view: &ViewFacts) -> String {
+pub(super) fn name_of(view: &ViewFacts) -> String {
     let tile = view.tile.map_or_else(String::new, |tile| format!(" {tile}"));
     match view.kind {
         Some(ViewKind::Partition) => format!("tile{tile}"),

@@ -9,7 +9,7 @@ use super::gathered::StageMessages;
 use crate::recorded::{LostMessages, RecordedPixels};
 
 /// The known facts about one target in one frame.
-pub struct FrameKnowledge {
+pub(super) struct FrameKnowledge {
     /// The target's number.
     pub target: usize,
     /// The frame.
@@ -30,7 +30,7 @@ pub struct FrameKnowledge {
 
 impl FrameKnowledge {
     /// The passes that ran.
-    pub fn trials(&self) -> impl Iterator<Item = &Trial> {
+    pub(super) fn trials(&self) -> impl Iterator<Item = &Trial> {
         self.decisions.iter().filter_map(|decision| match decision {
             AccountEntry::Ran(trial) => Some(trial),
             _ => None,
@@ -40,7 +40,7 @@ impl FrameKnowledge {
 
 /// The result of a replay.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub enum ReplayOutcome {
+pub(super) enum ReplayOutcome {
     /// Fusion gave the same bytes.
     Same,
     /// Fusion gave other bytes: the first difference.
@@ -51,7 +51,7 @@ pub enum ReplayOutcome {
 
 /// The track of a target before a frame.
 #[derive(Debug, Clone, PartialEq)]
-pub struct TrackBefore {
+pub(super) struct TrackBefore {
     /// State of the track; `None`: there was no track.
     pub state: Option<TrackState>,
     /// `camera_from_markers` at the frame's exposure, with its covariance.

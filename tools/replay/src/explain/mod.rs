@@ -48,7 +48,7 @@ use crate::recorded::RecordedFlight;
 const LOOK_AHEAD: usize = 60;
 
 /// Prints the answer, and draws the picture if requested.
-pub fn main(arguments: &ExplainArguments) -> anyhow::Result<()> {
+pub(crate) fn main(arguments: &ExplainArguments) -> anyhow::Result<()> {
     let when = arguments.when()?;
     let (resolved, known) = look(&arguments.file, &arguments.target, when)?;
     let explanation = facts::explanation(&arguments.file, &resolved, &known);

@@ -14,7 +14,11 @@ use flockeye_fusion::{
 };
 
 /// The passes of the decisions, in order.
-pub fn facts(resolved: &Resolved, target: usize, entries: &[AccountEntry]) -> Vec<PassFacts> {
+pub(super) fn facts(
+    resolved: &Resolved,
+    target: usize,
+    entries: &[AccountEntry],
+) -> Vec<PassFacts> {
     let frames = Mounting { resolved, target };
     entries.iter().map(|entry| of_entry(&frames, entry)).collect()
 }
@@ -120,7 +124,7 @@ fn hypothesis_facts(
 }
 
 /// The verdict about a hypothesis, as a sentence.
-pub fn decided(hypothesis: &Hypothesis, verdict: Verdict) -> String {
+pub(super) fn decided(hypothesis: &Hypothesis, verdict: Verdict) -> String {
     match verdict {
         Verdict::Accepted => match &hypothesis.found {
             Ok(found) if !found.is_precise => {
@@ -173,7 +177,7 @@ fn below(hypothesis: &Hypothesis) -> String {
 }
 
 /// The name of a pass.
-pub fn pass_name(pass: Pass) -> &'static str {
+pub(super) fn pass_name(pass: Pass) -> &'static str {
     match pass {
         Pass::Direct => "direct",
         Pass::Region => "corners of the region",

@@ -49,7 +49,7 @@ struct RgbPicture {
 ///
 /// # Errors
 /// The recording has no pixels of the place, no place is known, or the file cannot be written.
-pub fn write(
+pub(super) fn write(
     path: &Path,
     resolved: &Resolved,
     known: &FrameKnowledge,

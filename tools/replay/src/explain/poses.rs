@@ -11,7 +11,7 @@ use super::explanation::{Deviations, PoseFacts, ResidualOf};
 use super::known::FrameKnowledge;
 
 /// The mounting of a target's markers. It converts between poses of the markers and of the drone.
-pub struct Mounting<'r> {
+pub(super) struct Mounting<'r> {
     /// The configuration.
     pub resolved: &'r Resolved,
     /// The target's number.
@@ -20,7 +20,7 @@ pub struct Mounting<'r> {
 
 impl Mounting<'_> {
     /// `camera_from_markers` as a pose of the drone.
-    pub fn of_markers(&self, camera_from_markers: &Isometry3<f64>) -> PoseFacts {
+    pub(super) fn of_markers(&self, camera_from_markers: &Isometry3<f64>) -> PoseFacts {
         of_pose(
             &(self.resolved.observer_from_camera
                 * camera_from_markers
@@ -29,7 +29,7 @@ impl Mounting<'_> {
     }
 
     /// A pose of the drone as `camera_from_markers`.
-    pub fn to_markers(&self, observer_from_target: &Pose) -> Isometry3<f64> {
+    pub(super) fn to_markers(&self, observer_from_target: &Pose) -> Isometry3<f64> {
         self.resolved.observer_from_camera.inverse()
             * isometry(observer_from_target)
             * self.target_from_markers()
@@ -42,7 +42,7 @@ impl Mounting<'_> {
     }
 }
 
-pub fn of_pose(observer_from_target: &Isometry3<f64>) -> PoseFacts {
+pub(super) fn of_pose(observer_from_target: &Isometry3<f64>) -> PoseFacts {
     let position = observer_from_target.translation.vector;
     let Pose { position: at, orientation } = pose(observer_from_target);
     PoseFacts {
@@ -55,7 +55,7 @@ pub fn of_pose(observer_from_target: &Isometry3<f64>) -> PoseFacts {
 }
 
 /// Standard deviations of a pose, all axes together.
-pub fn deviations(covariance: &Matrix6<f64>) -> Deviations {
+pub(super) fn deviations(covariance: &Matrix6<f64>) -> Deviations {
     Deviations {
         position_m: position_deviation_m(covariance),
         rotation_deg: rotation_deviation_rad(covariance).to_degrees(),
@@ -63,7 +63,7 @@ pub fn deviations(covariance: &Matrix6<f64>) -> Deviations {
 }
 
 /// The difference between two poses.
-pub fn difference(one: &Isometry3<f64>, other: &Isometry3<f64>) -> Deviations {
+pub(super) fn difference(one: &Isometry3<f64>, other: &Isometry3<f64>) -> Deviations {
     Deviations {
         position_m: (one.translation.vector - other.translation.vector).norm(),
         rotation_deg: one.rotation.angle_to(&other.rotation).to_degrees(),
@@ -72,7 +72,7 @@ pub fn difference(one: &Isometry3<f64>, other: &Isometry3<f64>) -> Deviations {
 
 /// The pose of this frame in a track message: the measurement if there is one, else the track's
 /// pose.
-pub fn told(track: &Track) -> &Pose {
+pub(super) fn told(track: &Track) -> &Pose {
     match track.measured_by == MeasuredBy::Nothing.code() {
         true => &track.observer_from_target,
         false => &track.measured_observer_from_target,
@@ -81,7 +81,7 @@ pub fn told(track: &Track) -> &Pose {
 
 /// The place where the target is expected, by its track or by the truth.
 #[derive(Debug, Clone, Copy)]
-pub struct TargetPlace {
+pub(super) struct TargetPlace {
     pub camera_from_markers: Isometry3<f64>,
     /// Whether the track predicts it there.
     pub is_predicted: bool,
@@ -89,13 +89,13 @@ pub struct TargetPlace {
 
 impl TargetPlace {
     /// The direction from the camera.
-    pub fn direction(&self) -> Option<Ray> {
+    pub(super) fn direction(&self) -> Option<Ray> {
         Ray::try_new(self.camera_from_markers.translation.vector, 1e-9)
     }
 }
 
 /// The pose that the track predicted for the frame, from the replayed core or else from the plan.
-pub fn predicted(resolved: &Resolved, known: &FrameKnowledge) -> Option<Isometry3<f64>> {
+pub(super) fn predicted(resolved: &Resolved, known: &FrameKnowledge) -> Option<Isometry3<f64>> {
     if let Some(before) = &known.before {
         return before.predicted.map(|(pose, _)| pose);
     }
@@ -123,7 +123,7 @@ pub fn predicted(resolved: &Resolved, known: &FrameKnowledge) -> Option<Isometry
 }
 
 /// The place of the target in the frame.
-pub fn place(resolved: &Resolved, known: &FrameKnowledge) -> Option<TargetPlace> {
+pub(super) fn place(resolved: &Resolved, known: &FrameKnowledge) -> Option<TargetPlace> {
     let by_track = predicted(resolved, known)
         .map(|camera_from_markers| TargetPlace { camera_from_markers, is_predicted: true });
     by_track.or_else(|| {
@@ -134,7 +134,7 @@ pub fn place(resolved: &Resolved, known: &FrameKnowledge) -> Option<TargetPlace>
 }
 
 /// The pose with which corners are compared, `camera_from_markers`.
-pub fn reference_pose(
+pub(super) fn reference_pose(
     resolved: &Resolved,
     known: &FrameKnowledge,
 ) -> Option<(Isometry3<f64>, ResidualOf)> {

@@ -12,7 +12,7 @@ use super::judgement::name_of;
 const MOST_OTHER_VIEWS: usize = 12;
 
 /// The answer for people.
-pub fn of(explanation: &FrameExplanation) -> String {
+pub(super) fn of(explanation: &FrameExplanation) -> String {
     let mut out = String::new();
     // Writing to a string does not fail.
     let _ = write_all(&mut out, explanation);

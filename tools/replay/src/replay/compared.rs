@@ -10,7 +10,7 @@ use flockeye_recording::{ContractMessage, TopicLayout, layouts};
 use crate::recorded::{contract_message, header};
 
 /// The messages of both topics.
-pub struct MessageComparison {
+pub(super) struct MessageComparison {
     pub tracks: Pairs,
     pub plans: Pairs,
     /// Number of replayed plans that were not recorded.
@@ -18,7 +18,7 @@ pub struct MessageComparison {
 }
 
 /// Recorded and replayed messages of a topic.
-pub struct Pairs {
+pub(super) struct Pairs {
     layout: TopicLayout,
     recorded: VecDeque<ContractMessage>,
     given: VecDeque<ContractMessage>,
@@ -26,13 +26,13 @@ pub struct Pairs {
 
 impl MessageComparison {
     /// Begins before the first message.
-    pub fn new() -> anyhow::Result<Self> {
+    pub(super) fn new() -> anyhow::Result<Self> {
         Ok(Self { tracks: Pairs::of::<Tracks>()?, plans: Pairs::of::<Plans>()?, lost_plans: 0 })
     }
 
     /// Compares the messages that have a counterpart. Returns their number and the first
     /// difference.
-    pub fn compare(&mut self) -> (u64, Option<String>) {
+    pub(super) fn compare(&mut self) -> (u64, Option<String>) {
         let (tracks, differs) =
             self.tracks.compare(|message| header::<TrackHeader>(message).stamp.sequence);
         if differs.is_some() {
@@ -62,12 +62,12 @@ impl MessageComparison {
     }
 
     /// Whether all replayed messages were compared.
-    pub fn is_done(&self) -> bool {
+    pub(super) fn is_done(&self) -> bool {
         self.tracks.given.is_empty() && self.plans.given.is_empty()
     }
 
     /// The number of recorded messages that were not compared.
-    pub fn left(&self) -> u64 {
+    pub(super) fn left(&self) -> u64 {
         (self.tracks.recorded.len() + self.plans.recorded.len()) as u64
     }
 }
@@ -80,12 +80,12 @@ impl Pairs {
     }
 
     /// Takes a recorded message.
-    pub fn record(&mut self, message: ContractMessage) {
+    pub(super) fn record(&mut self, message: ContractMessage) {
         self.recorded.push_back(message);
     }
 
     /// Takes a message of the replayed core.
-    pub fn give<H: bytemuck::Pod, I: bytemuck::Pod>(&mut self, header: &H, items: &[I]) {
+    pub(super) fn give<H: bytemuck::Pod, I: bytemuck::Pod>(&mut self, header: &H, items: &[I]) {
         self.given.push_back(contract_message(header, items));
     }
 

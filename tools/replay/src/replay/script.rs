@@ -20,13 +20,13 @@ const PATIENCE: Duration = Duration::from_secs(5);
 const RETENTION: Duration = Duration::from_secs(60);
 
 /// The reason why fusion cannot be replayed from a recording without a journal.
-pub const NO_JOURNAL: &str = "the recording has no journal of fusion, so it is not known when fusion heard what. Cure: record with \
+pub(crate) const NO_JOURNAL: &str = "the recording has no journal of fusion, so it is not known when fusion heard what. Cure: record with \
      this version of Flockeye, and its own fusion";
 
 /// The next call of the core.
 #[derive(Debug)]
 #[allow(clippy::large_enum_variant, reason = "one at a time, on the stack")]
-pub enum NextCall {
+pub(super) enum NextCall {
     /// An entry, with its message if it has one.
     Entry(JournalEntry, Option<Event<RecordedPixels>>),
     /// The next entry or its message has not come yet.
@@ -37,7 +37,7 @@ pub enum NextCall {
 
 /// Entries that wait for their messages, and messages that wait for their entries.
 #[derive(Debug, Default)]
-pub struct Script {
+pub(super) struct Script {
     /// Entries with their times of recording, UTC nanoseconds.
     entries: VecDeque<(u64, JournalEntry)>,
     /// Messages by their entries with time 0, each with the time of recording.
@@ -52,12 +52,12 @@ pub struct Script {
 
 impl Script {
     /// Whether a journal has been found.
-    pub fn has_begun(&self) -> bool {
+    pub(super) fn has_begun(&self) -> bool {
         self.next.is_some()
     }
 
     /// Takes a message that may have reached fusion.
-    pub fn hear(&mut self, event: Event<RecordedPixels>, utc_ns: u64) -> anyhow::Result<()> {
+    pub(super) fn hear(&mut self, event: Event<RecordedPixels>, utc_ns: u64) -> anyhow::Result<()> {
         let begun_ns = *self.begun_ns.get_or_insert(utc_ns);
         ensure!(self.has_begun() || !is_over(PATIENCE, begun_ns, utc_ns), NO_JOURNAL);
         self.heard.entry(entry_of(&event, 0)).or_default().push_back((utc_ns, event));
@@ -68,7 +68,7 @@ impl Script {
     ///
     /// # Errors
     /// The journal does not begin with the process.
-    pub fn note(
+    pub(super) fn note(
         &mut self,
         header: &JournalHeader,
         entries: &[JournalEntry],
@@ -117,7 +117,7 @@ impl Script {
     }
 
     /// The next entry at the time `utc_ns` of the recording; `None`: at the end of the recording.
-    pub fn next(&mut self, utc_ns: Option<u64>) -> NextCall {
+    pub(super) fn next(&mut self, utc_ns: Option<u64>) -> NextCall {
         let Some((noted_ns, entry)) = self.entries.front().copied() else {
             return self.end.clone().map_or(NextCall::Wait, NextCall::End);
         };
@@ -156,7 +156,7 @@ fn is_over(time: Duration, since_ns: u64, utc_ns: u64) -> bool {
 }
 
 /// Whether an entry names a message of another stage.
-pub fn names_message(entry: &JournalEntry) -> bool {
+pub(crate) fn names_message(entry: &JournalEntry) -> bool {
     let own = [JournalKind::Background, JournalKind::Step, JournalKind::Said];
     !own.iter().any(|kind| kind.code() == entry.kind)
 }

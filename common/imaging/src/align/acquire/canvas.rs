@@ -44,7 +44,7 @@ pub(super) struct Canvas {
 
 impl Canvas {
     /// A square picture of this radiance.
-    pub fn of(side: usize, radiance: Vec<f32>) -> Self {
+    pub(super) fn of(side: usize, radiance: Vec<f32>) -> Self {
         let square: Vec<f32> = radiance.iter().map(|value| value * value).collect();
         let parted = [&radiance, &square].map(|plane| part(plane, side));
         Self { side, radiance, square, parted }
@@ -63,17 +63,17 @@ pub(super) struct Size {
 
 impl Size {
     /// Size for a body with this many cells from its middle to its rim.
-    pub fn of(radius: usize, cell_m: f64) -> Self {
+    pub(super) fn of(radius: usize, cell_m: f64) -> Self {
         Self { side: 2 * (radius + REACH_CELLS + 1), radius, cell_m }
     }
 
     /// Pixels along a side of a template.
-    pub fn template_side(&self) -> usize {
+    pub(super) fn template_side(&self) -> usize {
         2 * self.radius + 1
     }
 
     /// The place of a pixel in a picture, and in one whose columns are parted.
-    pub fn places(&self, x: usize, y: usize) -> [u32; 2] {
+    pub(super) fn places(&self, x: usize, y: usize) -> [u32; 2] {
         let parted = x % 2 * (self.side / 2) + x / 2;
         [x, parted].map(|column| (y * self.side + column) as u32)
     }
@@ -94,7 +94,7 @@ pub(super) struct Canvases<'p> {
 }
 
 impl<'p> Canvases<'p> {
-    pub fn new(
+    pub(super) fn new(
         size: Size,
         patch: &'p Patch,
         centre_px: Vector2<f64>,
@@ -128,7 +128,7 @@ impl<'p> Canvases<'p> {
     }
 
     /// The picture at a turn and a range.
-    pub fn get(&mut self, turn: usize, exponent: i32) -> &Canvas {
+    pub(super) fn get(&mut self, turn: usize, exponent: i32) -> &Canvas {
         if !self.made.contains_key(&(turn, exponent)) {
             let canvas = self.draw(turn, exponent);
             self.made.insert((turn, exponent), canvas);
@@ -158,7 +158,7 @@ impl<'p> Canvases<'p> {
 
     /// The pose of a cell (`patch_from_markers`), whose template shows the body in the attitude
     /// `sight_from_markers`.
-    pub fn pose(
+    pub(super) fn pose(
         &self,
         sight_from_markers: &UnitQuaternion<f64>,
         cell: &GridPose,

@@ -89,7 +89,11 @@ impl CellWeights {
 impl<'p> BlurredFacet<'p> {
     /// Creates the blurred facet. `covariance` is that of the Gaussian in the facet's plane, metres
     /// squared. `path` is the body's motion there during the exposure, metres.
-    pub fn new(facet: &'p PrintedFacet, covariance: &Matrix2<f64>, path: &Vector2<f64>) -> Self {
+    pub(crate) fn new(
+        facet: &'p PrintedFacet,
+        covariance: &Matrix2<f64>,
+        path: &Vector2<f64>,
+    ) -> Self {
         let aside = path * PATH_OFFSET;
         let cells = facet.cells.as_ref().map(|cells| BlurredCells::new(cells, covariance, &aside));
         let middle = facet.middle();
@@ -116,19 +120,19 @@ impl<'p> BlurredFacet<'p> {
 
     /// Depth of a point inside edge `k`, standard deviations of the point spread.
     #[inline]
-    pub fn depth(&self, k: usize, at: Vector2<f64>) -> f32 {
+    pub(crate) fn depth(&self, k: usize, at: Vector2<f64>) -> f32 {
         let at: Vector2<f32> = at.cast();
         self.edges[k].normal.dot(&at) + self.edges[k].offset
     }
 
     /// Derivative of that depth by the plane's coordinates, per metre.
-    pub fn inwards(&self, k: usize) -> Vector2<f32> {
+    pub(crate) fn inwards(&self, k: usize) -> Vector2<f32> {
         self.edges[k].normal
     }
 
     /// Radiance at a point of a blurred line along edge `k`, of one unit of radiance times metres.
     #[inline(always)]
-    pub fn line(&self, k: usize, at: Vector2<f64>) -> f64 {
+    pub(crate) fn line(&self, k: usize, at: Vector2<f64>) -> f64 {
         let (edge, at) = (&self.edges[k], at.cast());
         let density = |end| self.gaussian.at(edge.depth_at(&at, end)).0;
         let density = if self.moves { (density(1.0) + density(-1.0)) / 2.0 } else { density(0.0) };
@@ -137,7 +141,7 @@ impl<'p> BlurredFacet<'p> {
 
     /// The facet's blurred coverage.
     #[inline(always)]
-    pub fn coverage(&self, at: Vector2<f64>) -> Share {
+    pub(crate) fn coverage(&self, at: Vector2<f64>) -> Share {
         let at: Vector2<f32> = at.cast();
         if !self.moves {
             return self.coverage_at(&at, 0.0);
@@ -183,7 +187,7 @@ impl<'p> BlurredFacet<'p> {
 
     /// The blurred share of black; zero on a facet without a marker.
     #[inline(always)]
-    pub fn black(&self, at: Vector2<f64>) -> Share {
+    pub(crate) fn black(&self, at: Vector2<f64>) -> Share {
         let Some(blurred) = &self.cells else { return Share::default() };
         let mut sum = Share::default();
         let per_cell = 1.0 / blurred.cells.side_m as f32;
@@ -223,7 +227,7 @@ impl<'p> BlurredFacet<'p> {
 
     /// The marker's whole square, as if all its cells were black, and the square inside its border,
     /// both blurred; zero on a facet without a marker.
-    pub fn squares(&self, at: Vector2<f64>) -> [f32; 2] {
+    pub(crate) fn squares(&self, at: Vector2<f64>) -> [f32; 2] {
         let mut sums = [0.0; 2];
         let Some(blurred) = &self.cells else { return sums };
         let count = blurred.cells.count;

@@ -41,7 +41,7 @@ pub(in crate::align) struct PointFlow {
 
 impl VisibleFacet {
     /// The facet at a pose; `None` if it faces away, is seen edge-on or lies behind the camera.
-    pub fn new(
+    pub(crate) fn new(
         facet: &PrintedFacet,
         camera_from_markers: &Isometry3<f64>,
         pinhole: &Pinhole,
@@ -73,14 +73,14 @@ impl VisibleFacet {
     }
 
     /// Least and largest coordinate of the outline along an axis of the patch, pixels.
-    pub fn span_px(&self, axis: usize) -> (f64, f64) {
+    pub(crate) fn span_px(&self, axis: usize) -> (f64, f64) {
         let along = self.outline_px.iter().map(|corner| corner[axis]);
         along.fold((f64::MAX, f64::MIN), |(low, high), at| (low.min(at), high.max(at)))
     }
 
     /// The point of the plane in this `direction`, in the facet's frame.
     #[inline]
-    pub fn point(&self, direction: &Vector3<f64>) -> Vector2<f64> {
+    pub(crate) fn point(&self, direction: &Vector3<f64>) -> Vector2<f64> {
         let from_origin = direction * (self.offset / self.z.dot(direction)) - self.origin;
         Vector2::new(self.x.dot(&from_origin), self.y.dot(&from_origin))
     }
@@ -90,7 +90,7 @@ impl VisibleFacet {
     /// When the body moves by d, its point leaves the pixel. The point that takes its place lies at
     /// l e - d from it, with e the direction of the pixel and l such that it lies in the plane.
     #[inline(always)]
-    pub fn flow(&self, direction: &Vector3<f64>) -> PointFlow {
+    pub(crate) fn flow(&self, direction: &Vector3<f64>) -> PointFlow {
         let slope = 1.0 / self.z.dot(direction);
         let point = direction * (self.offset * slope);
         let from_origin = point - self.origin;
@@ -103,7 +103,7 @@ impl VisibleFacet {
     }
 
     /// Homography from pixels to the facet's plane, used to find the covered pixels.
-    pub fn plane_from_pixel(&self, pinhole: &Pinhole) -> Matrix3<f64> {
+    pub(crate) fn plane_from_pixel(&self, pinhole: &Pinhole) -> Matrix3<f64> {
         let (f, c) = (pinhole.focal_px, pinhole.centre_px);
         let camera_from_pixel =
             Matrix3::new(1.0 / f, 0.0, -c.x / f, 0.0, 1.0 / f, -c.y / f, 0.0, 0.0, 1.0);
@@ -121,7 +121,7 @@ impl PointFlow {
     /// Derivative of a value by the pose: by the shift of the markers' origin, then by the rotation
     /// about it, both in the camera's axes. `slope` is its derivative by the facet's coordinates.
     #[inline(always)]
-    pub fn by_pose(&self, slope: Vector2<f64>) -> [f64; 6] {
+    pub(crate) fn by_pose(&self, slope: Vector2<f64>) -> [f64; 6] {
         let shift = self.along_x * slope.x + self.along_y * slope.y;
         let turn = self.arm.cross(&shift);
         [shift.x, shift.y, shift.z, turn.x, turn.y, turn.z]

@@ -10,7 +10,7 @@ const ODD_SHARE: f64 = 1e-6;
 
 /// The pose of a still body from several frames.
 #[derive(Debug, Clone, PartialEq)]
-pub struct StillPose {
+pub(crate) struct StillPose {
     /// Mean of the frames' poses.
     pub camera_from_target: Isometry3<f64>,
     /// Covariance, as large as that of one frame: still pictures share most of their errors.
@@ -24,7 +24,7 @@ pub struct StillPose {
 /// The pose of a still body from the poses of several frames. Each has its covariance: position
 /// (m), then rotation vector (rad), both in the camera's axes. `None` without a frame, or if a
 /// covariance has no inverse.
-pub fn still_pose(frames: &[(Isometry3<f64>, Matrix6<f64>)]) -> Option<StillPose> {
+pub(crate) fn still_pose(frames: &[(Isometry3<f64>, Matrix6<f64>)]) -> Option<StillPose> {
     let informations: Option<Vec<Matrix6<f64>>> =
         frames.iter().map(|(_, covariance)| covariance.try_inverse()).collect();
     let informations = informations?;
