@@ -24,9 +24,10 @@ use crate::view::View;
 /// Number of neighbours' views before the first partition: see [`Planner::plan`].
 const VIEWS_BEFORE_PARTITION: usize = 4;
 
-/// Search mode: the order and selection of a frame's views.
+/// Order and selection of the views in a plan. The key `search.mode` selects it together with the
+/// profile: without tracks `roi` has no prediction to look at.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum SearchMode {
+pub enum PlanOrder {
     /// The paper's baseline: partitions in a fixed order until the first hit.
     Greedy,
     /// The paper's Algorithm 1: [`optimized`].
@@ -136,7 +137,7 @@ pub fn optimized(partition: &Partition, n: Option<usize>) -> Vec<usize> {
 /// Makes the plan for each frame.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Planner {
-    mode: SearchMode,
+    order: PlanOrder,
     partition: Partition,
     /// The view of each partition; `None` where the camera sees nothing of it.
     tiles: Vec<Option<View>>,
@@ -193,7 +194,7 @@ impl Planner {
     /// # Errors
     /// Views that are not one for each partition; options of the mode roi out of range.
     pub fn new(
-        mode: SearchMode,
+        order: PlanOrder,
         partition: Partition,
         views: Vec<View>,
         roi: RoiOptions,
@@ -203,7 +204,7 @@ impl Planner {
         }
         roi.check()?;
         Ok(Self {
-            mode,
+            order,
             partition,
             tiles: views.into_iter().map(Some).collect(),
             high_resolution: Vec::new(),
@@ -215,7 +216,7 @@ impl Planner {
         })
     }
 
-    /// In the mode [`SearchMode::Roi`], also sweeps the sphere with these views of a higher
+    /// With [`PlanOrder::Roi`], also sweeps the sphere with these views of a higher
     /// resolution, for neighbours that are too far for the partition's own.
     pub fn with_high_resolution_tiles(mut self, views: Vec<View>) -> Self {
         let is_hidden = |view: &View| self.mask.as_ref().is_some_and(|mask| mask.hides_view(view));
@@ -242,9 +243,8 @@ impl Planner {
         Self { alternates_windows, ..self }
     }
 
-    /// Requests `views` proposals in each frame while one of `targets` targets is not tracked, in
-    /// the mode [`SearchMode::Roi`]. In the mode [`SearchMode::Exhaustive`] it requests them in
-    /// each frame.
+    /// Requests `views` proposals in each frame while one of `targets` targets is not tracked, with
+    /// [`PlanOrder::Roi`]. With [`PlanOrder::Exhaustive`] it requests them in each frame.
     pub fn with_proposals(self, targets: usize, views: usize) -> Self {
         Self { targets, proposals: views, ..self }
     }
@@ -264,7 +264,7 @@ impl Planner {
         &self.partition
     }
 
-    /// The plan for the next frame. `neighbours` counts in the mode [`SearchMode::Roi`] alone.
+    /// The plan for the next frame. `neighbours` counts with [`PlanOrder::Roi`] alone.
     ///
     /// The same arguments always give the same plan.
     pub fn plan(&self, searched: &Searched, neighbours: &[PredictedNeighbour]) -> Plan {
@@ -273,17 +273,17 @@ impl Planner {
             let views = self.tile_views(searched, &order);
             Plan { view_budget: views.len(), views, stop_rule }
         };
-        match self.mode {
-            SearchMode::Greedy => whole(greedy(&self.partition), StopRule::FirstHit),
-            SearchMode::Optimized => {
+        match self.order {
+            PlanOrder::Greedy => whole(greedy(&self.partition), StopRule::FirstHit),
+            PlanOrder::Optimized => {
                 whole(optimized(&self.partition, searched.last_hit()), StopRule::FirstHit)
             }
-            SearchMode::Exhaustive => {
+            PlanOrder::Exhaustive => {
                 let mut plan = whole(greedy(&self.partition), StopRule::All);
                 plan.views.extend(vec![PROPOSAL; self.proposals]);
                 Plan { view_budget: plan.views.len(), ..plan }
             }
-            SearchMode::Roi => self.roi_plan(searched, neighbours),
+            PlanOrder::Roi => self.roi_plan(searched, neighbours),
         }
     }
 

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use flockeye_geometry::body::{Bodies, Body};
 use flockeye_geometry::filter::{MotionModel, TrackPolicy};
 use flockeye_geometry::partition::Partition;
-use flockeye_geometry::search::{Plan, Planner, RoiOptions, SearchMode};
+use flockeye_geometry::search::{Plan, PlanOrder, Planner, RoiOptions};
 use flockeye_imaging::align::Picture;
 use flockeye_imaging::light::{CodeRange, LinearLight, TransferCurve};
 use nalgebra::Isometry3;
@@ -41,7 +41,7 @@ pub(crate) fn planner() -> Planner {
     let partition = Partition::icosahedron();
     let views = partition.views(0.1, PIXELS_PER_RADIAN).unwrap();
     let roi = RoiOptions::new(PIXELS_PER_RADIAN);
-    Planner::new(SearchMode::Roi, partition, views, roi).unwrap()
+    Planner::new(PlanOrder::Roi, partition, views, roi).unwrap()
 }
 
 /// The first plan of a process.

@@ -9,7 +9,7 @@ use flockeye_convert::RadianceCache;
 use flockeye_dictionary::Dictionary;
 use flockeye_geometry::camera::CameraModel;
 use flockeye_geometry::filter::{MotionModel, TrackPolicy};
-use flockeye_geometry::search::{Planner, SearchMode};
+use flockeye_geometry::search::{PlanOrder, Planner};
 use flockeye_imaging::align::VIDEO_COVARIANCE_SCALE;
 use flockeye_runtime::memory;
 
@@ -34,7 +34,7 @@ pub fn configured<P: AsRef<[u8]>>(
 ) -> anyhow::Result<(Core<P>, Writer, Option<Arc<Aligner>>)> {
     let Resolved { pipeline, bodies, camera, observer_from_camera, .. } = resolved;
     let planner = Planner::new(
-        search_mode(pipeline),
+        plan_order(pipeline),
         resolved.division.partition.clone(),
         resolved.partition_views.clone(),
         resolved.roi_options,
@@ -116,12 +116,12 @@ fn proposals(resolved: &Resolved) -> usize {
 }
 
 /// Without tracks there is no prediction for the search, so everything is searched.
-fn search_mode(pipeline: &Pipeline) -> SearchMode {
+fn plan_order(pipeline: &Pipeline) -> PlanOrder {
     match pipeline.search.mode {
-        contract::SearchMode::Greedy => SearchMode::Greedy,
-        contract::SearchMode::Optimized => SearchMode::Optimized,
-        contract::SearchMode::Roi if pipeline.has_tracks() => SearchMode::Roi,
-        contract::SearchMode::Exhaustive | contract::SearchMode::Roi => SearchMode::Exhaustive,
+        contract::SearchMode::Greedy => PlanOrder::Greedy,
+        contract::SearchMode::Optimized => PlanOrder::Optimized,
+        contract::SearchMode::Roi if pipeline.has_tracks() => PlanOrder::Roi,
+        contract::SearchMode::Exhaustive | contract::SearchMode::Roi => PlanOrder::Exhaustive,
     }
 }
 

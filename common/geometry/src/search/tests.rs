@@ -8,7 +8,7 @@ use crate::body::squares;
 
 const RESOLUTION: f64 = 3840.0 / std::f64::consts::TAU;
 
-fn planner(mode: SearchMode, roi: RoiOptions) -> Planner {
+fn planner(mode: PlanOrder, roi: RoiOptions) -> Planner {
     let partition = Partition::icosahedron();
     let views = partition.views(0.1, RESOLUTION).unwrap();
     Planner::new(mode, partition, views, roi).unwrap()
@@ -69,8 +69,8 @@ fn the_papers_modes_stop_at_the_first_hit() {
     let roi = RoiOptions::new(RESOLUTION);
     let mut searched = Searched::new(12, 0);
     let neighbours = [neighbour(0)];
-    let optimized = planner(SearchMode::Optimized, roi);
-    let greedy = planner(SearchMode::Greedy, roi);
+    let optimized = planner(PlanOrder::Optimized, roi);
+    let greedy = planner(PlanOrder::Greedy, roi);
     assert_eq!(optimized.plan(&searched, &neighbours), greedy.plan(&searched, &neighbours));
     searched.hit(Purpose::Partition(7));
     searched.hit(Purpose::Roi(0));
@@ -82,13 +82,13 @@ fn the_papers_modes_stop_at_the_first_hit() {
     let plan = greedy.plan(&searched, &neighbours);
     assert_eq!(partitions(&plan), (0..12).collect::<Vec<_>>());
     assert_eq!(plan.stop_rule, StopRule::FirstHit);
-    let plan = planner(SearchMode::Exhaustive, roi).plan(&searched, &neighbours);
+    let plan = planner(PlanOrder::Exhaustive, roi).plan(&searched, &neighbours);
     assert_eq!((plan.stop_rule, plan.view_budget, plan.views.len()), (StopRule::All, 12, 12));
 }
 
 #[test]
 fn a_plan_follows_first_and_then_goes_round() {
-    let planner = planner(SearchMode::Roi, RoiOptions::new(RESOLUTION));
+    let planner = planner(PlanOrder::Roi, RoiOptions::new(RESOLUTION));
     let mut searched = Searched::new(12, 0);
     for part in [0, 1, 2] {
         searched.record(1, Purpose::Partition(part));
@@ -107,7 +107,7 @@ fn a_plan_follows_first_and_then_goes_round() {
 #[test]
 fn a_crowd_does_not_hide_the_partitions_nor_each_other() {
     // Time for five views a frame, and nine neighbours.
-    let planner = planner(SearchMode::Roi, RoiOptions::new(RESOLUTION));
+    let planner = planner(PlanOrder::Roi, RoiOptions::new(RESOLUTION));
     let neighbours: Vec<_> = (0..9).map(neighbour).collect();
     let mut searched = Searched::new(12, 0);
     let mut followed = [0; 9];
@@ -129,7 +129,7 @@ fn a_crowd_does_not_hide_the_partitions_nor_each_other() {
 fn fine_planner(partitions_per_frame: usize) -> Planner {
     let roi = RoiOptions { partitions_per_frame, ..RoiOptions::new(RESOLUTION) };
     let fine = Partition::stored(32).unwrap().views(0.05, 2.0 * RESOLUTION).unwrap();
-    planner(SearchMode::Roi, roi).with_high_resolution_tiles(fine)
+    planner(PlanOrder::Roi, roi).with_high_resolution_tiles(fine)
 }
 
 #[test]
@@ -178,7 +178,7 @@ fn high_resolution_tiles_that_the_mask_hides_are_not_planned() {
     assert_eq!(plan.views.len() - fine, 12 - planner.hidden_partitions());
     // Whichever is given first.
     let tiles = fine_planner(4).high_resolution.into_iter().flatten().collect();
-    let other = self::planner(SearchMode::Roi, planner.roi).with_mask(mask);
+    let other = self::planner(PlanOrder::Roi, planner.roi).with_mask(mask);
     assert_eq!(other.with_high_resolution_tiles(tiles), planner);
 }
 
@@ -226,7 +226,7 @@ proptest! {
         history in proptest::collection::vec((0u64..50, 0usize..12), 0..40),
     ) {
         let roi = RoiOptions { partitions_per_frame, ..RoiOptions::new(RESOLUTION) };
-        let planner = planner(SearchMode::Roi, roi);
+        let planner = planner(PlanOrder::Roi, roi);
         let neighbours: Vec<_> = (0..crowd).map(neighbour).collect();
         let mut searched = Searched::new(12, 0);
         let mut history = history;
@@ -306,8 +306,8 @@ fn predictions_that_are_none_give_no_view() {
     }
     let broken = PredictedNeighbour { deviation_rad: f64::NAN, ..neighbour(0) };
     assert_eq!(roi_view(&broken, RESOLUTION), None);
-    let plan = planner(SearchMode::Roi, RoiOptions::new(RESOLUTION))
-        .plan(&Searched::new(12, 0), &[broken]);
+    let plan =
+        planner(PlanOrder::Roi, RoiOptions::new(RESOLUTION)).plan(&Searched::new(12, 0), &[broken]);
     assert_eq!((plan.views.len(), plan.view_budget), (12, 2));
 }
 
@@ -316,7 +316,7 @@ fn options_out_of_range_are_named() {
     let good = RoiOptions::new(RESOLUTION);
     let with = |roi| {
         Planner::new(
-            SearchMode::Roi,
+            PlanOrder::Roi,
             Partition::icosahedron(),
             Partition::icosahedron().views(0.1, RESOLUTION).unwrap(),
             roi,
@@ -329,7 +329,7 @@ fn options_out_of_range_are_named() {
     ] {
         assert!(with(roi).unwrap_err().to_string().contains(name));
     }
-    let missing = Planner::new(SearchMode::Greedy, Partition::icosahedron(), Vec::new(), good);
+    let missing = Planner::new(PlanOrder::Greedy, Partition::icosahedron(), Vec::new(), good);
     assert_eq!(missing.unwrap_err(), PlannerError::Views { views: 0, partitions: 12 });
 }
 
@@ -355,7 +355,7 @@ fn an_exhaustive_search_has_its_proposals_behind_all_tiles() {
     let partition = Partition::icosahedron();
     let views = partition.views(0.1, 611.0).unwrap();
     let roi = RoiOptions::new(611.0);
-    let planner = Planner::new(SearchMode::Exhaustive, partition, views, roi).unwrap();
+    let planner = Planner::new(PlanOrder::Exhaustive, partition, views, roi).unwrap();
     let planner = planner.with_proposals(2, 3);
     let plan = planner.plan(&planner.nothing_searched(), &[]);
     assert_eq!((plan.views.len(), plan.view_budget, plan.stop_rule), (15, 15, StopRule::All));
