@@ -168,6 +168,8 @@ fn a_pdf_has_the_same_sheets() {
     }
     let start = table.split("startxref\n").nth(1).expect("its own place");
     assert_eq!(start.lines().next(), Some(body.len().to_string().as_str()));
+    let pages = text.matches("<< /Type /Page /Parent 2 0 R ").count();
+    assert!(pages > 0 && text.contains(&format!(" /Count {pages} >>")), "{pages} pages");
     // 17 markers of 50 mm each, in millimetres under the page's own scale.
     let squares = text.lines().filter(|line| line.starts_with("0 g ") && line.ends_with("f*"));
     let is_marker = |line: &&str| {

@@ -45,7 +45,7 @@ impl Fleet {
     /// output goes to files in [`Fleet::folder`].
     pub(crate) fn start(pipelines: &[(String, Vec<OsString>)]) -> anyhow::Result<Self> {
         let program = program::find("flockeye")?;
-        let folder = std::env::temp_dir().join(format!("flockeye-fleet-{}", std::process::id()));
+        let folder = std::env::temp_dir().join(format!("flockeye-swarm-{}", std::process::id()));
         std::fs::create_dir_all(&folder).with_context(|| folder.display().to_string())?;
         let mut fleet = Self { pipelines: Vec::new(), folder };
         for (name, arguments) in pipelines {

@@ -20,7 +20,7 @@ pub(super) fn document(pages: &[PaperDrawing]) -> Vec<u8> {
         let [width, height] = page.size_mm.map(|side| side * POINTS_PER_MM);
         let content = content(page);
         objects.push(format!(
-            "<< /Type /PaperDrawing /Parent 2 0 R /MediaBox [0 0 {width:.4} {height:.4}] \
+            "<< /Type /Page /Parent 2 0 R /MediaBox [0 0 {width:.4} {height:.4}] \
              /Resources << /Font << /F1 3 0 R >> >> /Contents {} 0 R >>",
             5 + 2 * index
         ));
