@@ -171,7 +171,7 @@ pub fn run() -> anyhow::Result<()> {
         }
         FlockeyeCommand::Top(arguments) => top::run(&arguments),
         FlockeyeCommand::Trace { running, out, duration } => trace::run(&running, &out, duration),
-        // They were passed on, unless something else comes first.
+        // Other programs run these commands, unless something else comes first.
         FlockeyeCommand::Record
         | FlockeyeCommand::View
         | FlockeyeCommand::Replay
@@ -180,7 +180,10 @@ pub fn run() -> anyhow::Result<()> {
         | FlockeyeCommand::Swarm
         | FlockeyeCommand::Contract
         | FlockeyeCommand::Stage => {
-            anyhow::bail!("a command of another program is written without anything before it")
+            anyhow::bail!(
+                "`flockeye record`, `view`, `replay`, `explain`, `chaos`, `swarm`, `contract` and `stage` are written \
+                 without anything before them"
+            )
         }
         FlockeyeCommand::Peers(arguments) => peers::run(&arguments),
         FlockeyeCommand::Keys(command) => keys::run(&command),

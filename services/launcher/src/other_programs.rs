@@ -41,7 +41,7 @@ pub(crate) fn program_for(arguments: &[OsString]) -> Option<&'static str> {
 fn name_and_arguments(program: &str, arguments: &[OsString]) -> (String, Vec<OsString>) {
     match command_in(arguments) {
         Some((command, rest)) if [RECORDER, VIEWER].contains(&program) => {
-            let asks_for_help = arguments.len() > rest.len() + 1;
+            let asks_for_help = arguments.first().is_some_and(|first| first == "help");
             let rest = if asks_for_help { vec!["--help".into()] } else { rest.to_vec() };
             (format!("flockeye {}", command.to_string_lossy()), rest)
         }
