@@ -75,7 +75,9 @@ impl Core {
         let exposure_ns = exposure_ns(stamp, self.flow);
         for track in self.newest.tracks(stamp, tracks) {
             let report = PeerReport::of_track(self.swarm.own(), stamp, exposure_ns, track);
-            report.iter().for_each(|report| self.swarm.hear(report));
+            if let Some(report) = report {
+                self.swarm.hear(&report);
+            }
         }
         let is_reported = self.selection.admits(stamp, exposure_ns);
         if !is_reported || !self.gathering.take(stamp, tracks, *is_last != 0, now.monotonic_ns) {
@@ -146,6 +148,7 @@ mod tests {
     fn a_track_is_reported_at_once_with_its_exposure_on_both_clocks() {
         let (report, latency_ns) = take(&mut core(None), 0, TrackState::Confirmed).unwrap();
         assert_eq!(latency_ns, 20_000_000);
+        assert_eq!((report.observer.as_str(), report.clock_synchronised), ("wren", true));
         let FrameReport { stamp_utc_ns, latency_ms, targets, odometry, .. } = report;
         assert_eq!((stamp_utc_ns, latency_ms), (9_980_001_000, 20.0));
         assert_eq!((targets.len(), targets[0].name.as_str(), odometry), (1, "kite", None));
@@ -201,6 +204,7 @@ mod tests {
                 .unwrap(),
         };
         assert!(core.on_sighting(&heard("wren")).is_none());
+        assert!(core.swarm(NOW.monotonic_ns).is_empty(), "nor does it count in the estimate");
         let sighting = core.on_sighting(&heard("swift")).unwrap();
         assert_eq!((sighting.observer.to_string().as_str(), sighting.is_own), ("swift", 0));
     }

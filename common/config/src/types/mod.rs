@@ -135,8 +135,8 @@ impl Pipeline {
 #[serde(default, deny_unknown_fields)]
 pub struct Supervision {
     /// A process that works and sends no health for this long hangs: it is killed and started again,
-    /// seconds; five times as long in a lossless run, and fifteen times for capture, inertial and gateway,
-    /// which open devices. Time in which it got no processor does not count.
+    /// seconds; five times as long in a lossless run, and fifteen times for capture, inertial,
+    /// autopilot, gateway and ros2, which open devices and links. Time in which it got no processor does not count.
     #[schemars(range(min = 0.5, max = 600.0))]
     pub heartbeat_s: f64,
     /// A process that is not ready after this long is named in the log, and the source starts without it,

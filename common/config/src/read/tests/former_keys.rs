@@ -87,8 +87,12 @@ fn keys_that_are_constants_now_are_read_with_their_values_and_refused_with_other
         partition: {count: auto, weights: [0.2, 0.02, 0.78], seed: 1, margin_deg:, magnification:}\n\
         search: {lossless_partitions: 4, costs: {processors: 1.3, source_ms: 20, egomotion_ms: 2.2}}\n\
         fusion: {confirm_hits: 2, confirm_window: 5, history_s: 0.5, gate_probability: 0.999}\n\
-        simulator: {lens_blur_px: 0.8}";
+        simulator: {lens_blur_px: 0.8}\nrecording: {split_mb: 1000}";
     assert_eq!(parse(yaml).unwrap(), Pipeline::default());
+    assert_eq!(parse("fusion: {angular_acceleration: 3}").unwrap(), Pipeline::default());
+    for autopilot in ["autopilot: {max_age_ms: 500}", "gateway: {autopilot: {max_age_ms: 500}}"] {
+        assert_eq!(parse(autopilot).unwrap(), parse("autopilot: {}").unwrap());
+    }
     assert_eq!(parse("search:\n  costs:\n").unwrap(), Pipeline::default());
     assert_eq!(parse("search: {costs: {processors: 4}}").unwrap().search.processors, 4.0);
     let set = ["search.costs.processors=4".to_owned(), "fusion.restart_after_gated=3".to_owned()];
