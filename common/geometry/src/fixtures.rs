@@ -13,7 +13,7 @@ pub use crate::random::Chance;
 impl Chance {
     /// Even between `low` and `high`.
     pub fn even(&mut self, low: f64, high: f64) -> f64 {
-        low + (high - low) * (self.bits() >> 11) as f64 / (1u64 << 53) as f64
+        low + (high - low) * self.unit()
     }
 
     /// A normal value of mean 0 and deviation 1 (Box, Muller, 1958).

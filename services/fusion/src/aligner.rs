@@ -118,9 +118,9 @@ impl Aligner {
         self
     }
 
-    /// Sets the largest tilt of targets from their observer, whose camera is mounted as given. Of
-    /// two poses that look alike, one beyond `max_rad` is not the body's. With 0 the tilt is not
-    /// known. It is never known for a body with a single marker, which may be attached to anything.
+    /// Sets the largest tilt of targets from their observer, whose camera is mounted as given. If
+    /// two poses look alike, one beyond `max_rad` is not the body's. With 0 the tilt is not known.
+    /// It is never known for a body with a single marker, which may be attached to anything.
     pub(crate) fn with_max_tilt(
         mut self,
         bodies: &Bodies,
@@ -137,9 +137,9 @@ impl Aligner {
         self
     }
 
-    /// Searches for a body from its starts, then around a prediction if no start leads to it.
-    /// `confirmed` is the prediction of a confirmed track. The other parameters are those of
-    /// [`Self::confirm`] and [`Self::initiate`].
+    /// Searches for a body from its starts, then around the prediction `round` if no start leads to
+    /// a precise pose. `confirmed` is the prediction of a confirmed track. The other parameters are
+    /// those of [`Self::confirm`] and [`Self::initiate`].
     pub(crate) fn find(
         &self,
         sought: &Sought<'_>,

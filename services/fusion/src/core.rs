@@ -17,7 +17,7 @@ use flockeye_contract::{
 use flockeye_convert::{camera_turn, purpose_of, search_of, view_of};
 use flockeye_geometry::search::Planner;
 
-use crate::account::{AccountEntry, Trial};
+use crate::account::{AccountEntry, Pass, Trial};
 use crate::frame::frames::Frames;
 use crate::journal::Journal;
 use crate::measure::FrameTime;
@@ -48,7 +48,7 @@ pub struct Core<P> {
     notices: Vec<Notice>,
     /// Check of messages in flight. `None` where any frame may come.
     guard: Option<Guard>,
-    /// Journal of the core's calls, so that a flight can be repeated; `None` without a reader.
+    /// Journal of the core's calls, so that a flight can be repeated; `None` in a replay.
     journal: Option<Journal>,
 }
 
@@ -278,7 +278,7 @@ impl<P: AsRef<[u8]>> Core<P> {
             Work::MeasureRecords { order } => {
                 let frame = self.frames.get_mut(order);
                 let searched = frame.map(|frame| std::mem::take(&mut frame.searched));
-                self.measure(order, false, searched, outputs);
+                self.measure(order, Pass::Region, searched, outputs);
             }
             Work::TakeAnswer => {
                 let answer = self.answers.pop_front();
@@ -286,7 +286,7 @@ impl<P: AsRef<[u8]>> Core<P> {
             }
             Work::MeasureFrame { order } => {
                 self.take_answers(outputs);
-                self.measure(order, true, None, outputs);
+                self.measure(order, Pass::Complete, None, outputs);
                 match self.frames.keeping.keeps_places {
                     true => self.frames.set_measured(order),
                     false => self.end_frame(order, outputs),
@@ -308,7 +308,6 @@ impl<P: AsRef<[u8]>> Core<P> {
         self.schedule.budget(stamp, self.frames.newest.as_ref())
     }
 
-    /// Publishes what a background pass found, if its frame is still open. Otherwise it has
     /// Publishes the result of a background pass if its frame is still open. Otherwise it has
     /// corrected the track, from which the next frame benefits.
     fn take_answer(&mut self, answer: Trial, outputs: &mut Outputs) {
@@ -337,7 +336,7 @@ impl<P: AsRef<[u8]>> Core<P> {
         let found = frame.take_found();
         self.take_answers(outputs);
         self.publish(&stamp, found, outputs);
-        self.measure(order, false, None, outputs);
+        self.measure(order, Pass::Region, None, outputs);
         if let Schedule::Virtual(clock) = &mut self.schedule {
             clock.complete_frame(&stamp);
         }

@@ -66,7 +66,7 @@ pub enum PoseIndex {
 /// Verdict on a hypothesis.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Verdict {
-    /// The hypothesis is the body's pose, from the picture.
+    /// The hypothesis is the body's pose, according to the picture.
     Accepted,
     /// The hypothesis would be accepted, but another one was more likely.
     LessLikely,
@@ -74,7 +74,8 @@ pub enum Verdict {
     BelowThreshold,
     /// The hypothesis is likely. Its standard deviations are too large to start a track with.
     Imprecise,
-    /// The hypothesis is likely, and so are others: its lead, in log odds.
+    /// The hypothesis is likely, but others are too likely beside it: its lead over them, in log
+    /// odds.
     Rivals(f64),
     /// A rival of the likeliest one.
     Rival,
@@ -249,17 +250,18 @@ pub(crate) fn of_untracked(
     needs_facets: bool,
 ) -> Decision {
     let mut decision = Decision::nothing(tried);
-    for (index, _) in competitors(tried).filter(|(index, _)| is_likely(&tried[*index])) {
+    let all: Vec<(usize, f64)> = competitors(tried).collect();
+    for &(index, _) in all.iter().filter(|(index, _)| is_likely(&tried[*index])) {
         let is_precise = has_precise_pose(&tried[index]);
         let verdict = if is_precise { Verdict::LessLikely } else { Verdict::Imprecise };
         decision.give_reason(index, verdict);
     }
-    let Some((best, most)) = competitors(tried).find(|(index, _)| Some(*index) == likeliest) else {
+    let Some(&(best, most)) = all.iter().find(|(index, _)| Some(*index) == likeliest) else {
         return decision;
     };
     let is_same = |one: usize, other: usize| is_same(&tried[one], &tried[other]);
     let mut rivals: Vec<(usize, f64)> =
-        competitors(tried).filter(|(other, _)| !is_same(best, *other)).collect();
+        all.into_iter().filter(|(other, _)| !is_same(best, *other)).collect();
     rivals.sort_by(|(_, one), (_, other)| other.total_cmp(one));
     // Starts that led to the same pose are one rival: the most likely of them counts.
     let mut distinct: Vec<(usize, f64)> = Vec::new();

@@ -58,7 +58,7 @@ pub(crate) struct OpenFrame<P> {
     regions: VecDeque<(u64, u32)>,
     /// Records that wait for the corner pass over their regions, by the views' places in the plan.
     pub(crate) searched: Vec<u32>,
-    /// Targets in views whose records arrived before their direct pass.
+    /// Views whose records arrived before their direct pass, with their scores for targets.
     unseen: Vec<(u32, Vec<(usize, ViewQuality)>)>,
     /// Results of direct passes that wait until the frame is complete.
     pub(crate) found: Vec<Outgoing>,

@@ -52,8 +52,8 @@ pub fn candidate_rays<'m>(
 
 /// Largest number of probable markers of `body` that fit one of its poses: at least two, or none.
 ///
-/// One square may look like a marker in any clutter. Two at the distance of the body's markers do
-/// not occur by chance.
+/// One square may look like a marker in any clutter. Two that are placed to each other as on the
+/// body do not occur by chance.
 pub(crate) fn agreeing_candidates(body: &Body, rays: &[CornerRay]) -> u32 {
     if marker_ids(rays).len() < 2 {
         return 0;
@@ -80,7 +80,7 @@ fn ray(components: [f64; 3]) -> Ray {
     Unit::new_normalize(Vector3::from(components))
 }
 
-/// Ids of the markers of these corners, in their order.
+/// Ids of the markers of these corners, rising, each once.
 pub(crate) fn marker_ids(rays: &[CornerRay]) -> Vec<u32> {
     let mut ids: Vec<u32> = rays.iter().map(|ray| ray.marker_id).collect();
     ids.sort_unstable();

@@ -63,7 +63,8 @@ impl PictureReader {
         }))
     }
 
-    /// Reads views with their pixels. One that cannot be read is left out; detection reports why.
+    /// Reads views with their pixels. A view that cannot be read is left out; detection reports the
+    /// reason.
     fn read_all<'c, K>(
         &'c mut self,
         views: impl Iterator<Item = (K, &'c ViewHeader, &'c [u8])>,

@@ -2,8 +2,9 @@
 //! and the record of searches.
 //!
 //! It is saved before a pose is published and after each frame. A process that starts in a swap, or
-//! after a crash, continues from there. Of open frames it contains only the published poses, so
-//! that none is published twice. Only the old process has their views.
+//! after a crash, continues from there. It contains no views of open frames, because only the old
+//! process has them. It states which poses of open frames were published, so that none is published
+//! twice.
 
 use anyhow::ensure;
 use serde::{Deserialize, Serialize};

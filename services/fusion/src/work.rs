@@ -2,8 +2,8 @@
 
 use flockeye_contract::FrameOrder;
 
-/// A piece of work, in the order of its urgency: the most urgent is the least. Of two equal ones,
-/// the frame with the earlier exposure comes first.
+/// A piece of work, in the order of its urgency: the most urgent is the least. If two pieces are
+/// equally urgent, the frame with the earlier exposure comes first.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum Work {
     /// Make the first plan. It starts the flow: rectification has a plan to follow, and a lossless

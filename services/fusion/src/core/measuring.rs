@@ -3,6 +3,7 @@
 use flockeye_contract::FrameOrder;
 
 use super::{Core, Outputs, time_of};
+use crate::account::Pass;
 use crate::aligner::BestView;
 use crate::frame::OpenFrame;
 use crate::measure::AnsweredView;
@@ -34,18 +35,19 @@ impl<P: AsRef<[u8]>> Core<P> {
         if self.schedule.is_flight() {
             found.into_iter().for_each(|found| self.publish(&stamp, vec![found], outputs));
         } else {
-            // Sorted, because the order must not depend on the speed of threads.
+            // They wait until the frame is complete. Their order must not depend on the speed of
+            // threads, so `OpenFrame::take_found` sorts them.
             frame.found.extend(found);
         }
         self.frames.answer_seen(order);
     }
 
-    /// The region pass or the last one over records of a frame: over those of the views `searched`,
-    /// or over all that count. Publishes the results.
+    /// The corner pass over records of a frame: over those of the views `searched`, or over all
+    /// that count. `pass` is its kind, region or complete. Publishes the results.
     pub(super) fn measure(
         &mut self,
         order: FrameOrder,
-        is_last: bool,
+        pass: Pass,
         searched: Option<Vec<u32>>,
         outputs: &mut Outputs,
     ) {
@@ -62,9 +64,9 @@ impl<P: AsRef<[u8]>> Core<P> {
             });
             let answered = views.iter().filter_map(|index| answered(frame, *index));
             let answered: Vec<AnsweredView<'_>> = answered.collect();
-            match is_last {
-                true => tracker.final_pass(time, parts, &answered, &best_views, budget),
-                false => tracker.region_pass(time, parts, &answered, &best_views, budget),
+            match pass {
+                Pass::Complete => tracker.final_pass(time, parts, &answered, &best_views, budget),
+                _ => tracker.region_pass(time, parts, &answered, &best_views, budget),
             }
         });
         let attempts = self.tracker.take_attempts();

@@ -290,7 +290,7 @@ impl<P: AsRef<[u8]>> Frames<P> {
     fn completion(&self, now_ns: i64) -> Option<Work> {
         let oldest = self.waiting().next()?;
         let is_overdue = now_ns >= oldest.deadline_ns || self.count() > MAX_OPEN_FRAMES;
-        // A frame without a plan of this process was under way when it began.
+        // A frame without a plan of this process was under way when the process began.
         let is_partial = !(1..=self.newest_plan).contains(&oldest.plan_id)
             && self.waiting().any(OpenFrame::is_whole);
         let is_whole = oldest.is_whole();

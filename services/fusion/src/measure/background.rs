@@ -212,7 +212,9 @@ impl Job {
             let sought = Sought { target, picture, starts, budget };
             let is_marked = |pose: &Isometry3<f64>| supports(&self.body, &self.decoded, pose);
             let (confirmed, round) = (self.confirmed.as_ref(), self.search_round.as_ref());
-            aligner.find(&sought, is_marked, confirmed, false, round, &mut tried)
+            // No start is left for later, so one facet may decide.
+            let needs_facets = false;
+            aligner.find(&sought, is_marked, confirmed, needs_facets, round, &mut tried)
         });
         let decision = decision.unwrap_or_default();
         (self.trial.decision, self.trial.hypotheses) = (decision, tried);

@@ -169,10 +169,10 @@ impl PassInputs<'_> {
     fn rejected_start(&self, predicted: &Isometry3<f64>) -> Option<(StartSource, Start)> {
         let view_index = self.best_view?.view_index;
         let rejected = self.part?.rejected.as_ref()?;
-        let found = rejected.hypotheses.first()?.found.clone().map(Box::new);
+        let tried = rejected.hypotheses.first()?;
         let is_same =
             rejected.view_index == Some(view_index) && rejected.predicted == Some(*predicted);
-        is_same.then_some((StartSource::DirectPass, Start::Tried(found)))
+        is_same.then(|| (StartSource::DirectPass, Start::Tried(tried.found.clone().map(Box::new))))
     }
 
     /// Whether a background pass has a start that no other of this frame had.

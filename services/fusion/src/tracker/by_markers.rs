@@ -88,9 +88,8 @@ impl Tracker {
         updates
     }
 
-    /// Begins a corner pass over a target, and returns whether it may search around the prediction.
-    /// Long searches are left to the background pass if others wait: a tracked target's frame is
-    /// still open, or another target is tracked.
+    /// Begins a corner pass over a target. Long searches are left to the background pass if others
+    /// wait: a tracked target's frame is still open, or another target is tracked.
     pub(super) fn begin_trial(
         &self,
         time: FrameTime,
@@ -99,18 +98,29 @@ impl Tracker {
         pass: Pass,
         budget: TimeBudget,
         has_background: bool,
-    ) -> (Trial, bool) {
+    ) -> Trial {
         let prior = self.prior(target, time.at_s);
         let is_open = prior.confirmed().is_some() && part.is_region_tried;
-        // Its track ends after a few frames.
-        let is_urgent = matches!(prior, TrackPrior::Tentative(_));
         let is_deferred = budget != TimeBudget::Unlimited
             && has_background
             && (is_open || self.tracks_others(target));
-        let may_search = (is_urgent || is_search_turn(time.number, target, self.targets.len()))
-            && budget != TimeBudget::Overspent
-            && (pass == Pass::Complete || is_deferred);
-        (Trial { is_deferred, ..Trial::of(pass, &prior, budget) }, may_search)
+        Trial { is_deferred, ..Trial::of(pass, &prior, budget) }
+    }
+
+    /// Whether a corner pass, or the background pass that it requests, may search around the
+    /// prediction of its target.
+    pub(super) fn may_search(
+        &self,
+        time: FrameTime,
+        target: usize,
+        prior: &TrackPrior,
+        begun: &Trial,
+    ) -> bool {
+        // A tentative track ends after a few frames.
+        let is_urgent = matches!(prior, TrackPrior::Tentative(_));
+        (is_urgent || is_search_turn(time.number, target, self.targets.len()))
+            && begun.budget != TimeBudget::Overspent
+            && (begun.pass == Pass::Complete || begun.is_deferred)
     }
 
     /// Collects the inputs for a target, or returns the reason why there are none.
@@ -121,7 +131,7 @@ impl Tracker {
         part: &'f Part,
         answered: &[AnsweredView<'_>],
         best_views: &BestViews<'f>,
-        (begun, may_search): (Trial, bool),
+        begun: Trial,
     ) -> Result<PassInputs<'f>, NotRun> {
         let body = &self.targets.get(target).ok_or(NotRun::NothingKnown)?.body;
         let prior = self.prior(target, time.at_s);
@@ -147,7 +157,7 @@ impl Tracker {
             candidates.extend(of_squares.into_iter().map(|ray| (record.header.view_index, ray)));
         }
         // Single squares are no evidence of an untracked target: a chequered wall has enough of
-        // them. Two in its best view at the distance of the body's markers are a start.
+        // them. Two in its best view, placed to each other as on the body, are a start.
         let is_known = !decoded.is_empty() || prior.predicted().is_some();
         let best_index = best_view.map(|best| best.view_index);
         candidates.retain(|(view_index, _)| is_known || Some(*view_index) == best_index);
@@ -160,6 +170,7 @@ impl Tracker {
             let is_tracked = prior.predicted().is_some();
             return Err(if is_tracked { NotRun::NoView } else { NotRun::NothingKnown });
         }
+        let may_search = self.may_search(time, target, &prior, &begun);
         let trial = Trial {
             view_index: best_index,
             decoded: marker_ids(&decoded),

@@ -27,7 +27,8 @@ impl Tracker {
         self.targets.get(target)?.predict(at_s, &self.camera.ego)
     }
 
-    /// Predicted picture of each tracked target in a frame with this exposure, by its number.
+    /// Prediction of each tracked target as the picture of a frame with this exposure will show it,
+    /// by its number.
     pub(crate) fn predictions(&self, at_s: f64) -> impl Iterator<Item = (usize, MotionEstimate)> {
         let targets = 0..self.targets.len();
         targets.filter_map(move |target| {
@@ -80,8 +81,8 @@ impl Tracker {
         Motion { rate_in_camera, exposure_s: self.camera.exposure.seconds() }
     }
 
-    /// Its track's prediction of the picture in the frame of a time. Without a filter there is no
-    /// track.
+    /// Its track's prediction of the target as the picture of the frame at a time shows it. Without
+    /// a filter there is no track.
     pub(super) fn prior(&self, target: usize, at_s: f64) -> TrackPrior {
         match self.filter {
             Some(_) => self.targets[target].prior(self.shown_s(target, at_s), &self.camera.ego),

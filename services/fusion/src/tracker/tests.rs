@@ -221,7 +221,7 @@ fn the_start_of_a_rejected_direct_pass_is_not_aligned_again() {
         let prior = tracker.prior(0, at_s(3));
         let begun = Trial { is_deferred: true, ..Trial::of(Pass::Complete, &prior, budget) };
         let part = parts.first().unwrap();
-        let inputs = tracker.inputs(time(3), 0, part, &answered, &best_views, (begun, false));
+        let inputs = tracker.inputs(time(3), 0, part, &answered, &best_views, begun);
         inputs.expect("it was predicted").measure(&tracker.aligner).measurement().is_some()
     };
     with_view(&truth, |view| {
@@ -237,7 +237,9 @@ fn a_frame_without_time_is_not_searched_round_predictions() {
     let mut tracker = following(&truth);
     let mut may_search = |budget| {
         let ((tracker, parts), pass) = (tracker.at(3), Pass::Complete);
-        tracker.begin_trial(time(3), 0, parts.first().unwrap(), pass, budget, true).1
+        let (part, prior) = (parts.first().unwrap(), tracker.prior(0, at_s(3)));
+        let begun = tracker.begin_trial(time(3), 0, part, pass, budget, true);
+        tracker.may_search(time(3), 0, &prior, &begun)
     };
     assert!(may_search(TimeBudget::OneFrame), "frame 3 is one of those that search");
     assert!(!may_search(TimeBudget::Overspent));
