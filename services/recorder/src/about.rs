@@ -9,7 +9,7 @@ use flockeye_runtime::instance::Instance;
 
 use crate::core::Core;
 
-/// The metadata at the begin of a recording, and the core of the recorder.
+/// The metadata at the beginning of a recording, and the core of the recorder.
 pub(crate) fn beginning(instance: &Instance, resolved: &Resolved) -> anyhow::Result<(About, Core)> {
     let pipeline = &resolved.pipeline;
     let path = instance.folder().join("pipeline.json");

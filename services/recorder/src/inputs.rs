@@ -197,6 +197,7 @@ impl<T: Topic> Lane<T> {
             self.numbering = numbering;
             let items: &[u8] = bytemuck::cast_slice(message.items());
             let is_bytes = size_of::<T::Item>() == 1;
+            // Views have no number, and 1 selects each message.
             let is_wanted = self.pixels_of_each.is_some_and(|count| {
                 count == 1
                     || numbering.is_some_and(|numbering| numbering.number.is_multiple_of(count))

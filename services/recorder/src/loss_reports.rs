@@ -7,9 +7,8 @@ use flockeye_runtime::logs::Throttle;
 /// Detects new losses, and logs warnings.
 #[derive(Default)]
 pub(crate) struct LossReports {
-    /// The losses in the last report. Cleared for each file of a ring, which states all losses
-    /// again.
-    pub(crate) reported: Vec<Loss>,
+    /// The losses in the last report.
+    reported: Vec<Loss>,
     warnings: Throttle,
 }
 

@@ -153,7 +153,7 @@ impl DiskWriter {
             self.write(entry)?;
         }
         // Each file states all losses.
-        self.losses.reported.clear();
+        self.losses = LossReports::default();
         self.write_losses()?;
         self.files.end()?;
         tracing::info!("what came before is in {}", path.display());

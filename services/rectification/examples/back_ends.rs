@@ -1,5 +1,5 @@
-//! Measures the GPU back end and the CPU back end on this machine, and prints the table of
-//! docs/results/gpu.md:
+//! Measures the GPU back end and the CPU back end on this machine. Prints the table of
+//! docs/results/gpu.md.
 //!
 //! ```text
 //! cargo run --release -p flockeye-rectification --example back_ends
@@ -116,7 +116,7 @@ fn processor_ms() -> f64 {
     time.tv_sec as f64 * 1e3 + time.tv_nsec as f64 / 1e6
 }
 
-/// Maximum difference between the pixels of both back ends.
+/// Text about the differences between the pixels of both back ends.
 fn differences(gpu: &mut dyn Rectifier, scene: &Scene, cuts: &[Cut]) -> String {
     let mut cpu = CpuRectifier::new(1);
     let mut by_difference = [0u64; 256];

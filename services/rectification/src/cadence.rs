@@ -92,7 +92,7 @@ impl Cadence {
         (interval_ns > 0).then_some(due_ns.max(next_burst_ns))
     }
 
-    /// Begin of the next burst, if frames of this interval arrive in bursts. The search then also
+    /// Start of the next burst, if frames of this interval arrive in bursts. The search then also
     /// uses the pause after a burst. `None` for a steady source.
     fn next_burst_ns(&self, interval_ns: i64) -> Option<i64> {
         let mut begun: Vec<i64> = Vec::new();

@@ -45,6 +45,7 @@ impl GpuRectifier {
             now: 0,
         }
     }
+
     /// Checks that the device has room for the camera's frames.
     pub(crate) fn check_frame(&self, camera: &Camera) -> Result<(), RectifyError> {
         let bytes = u64::from(camera.width()) * u64::from(camera.height());

@@ -12,7 +12,7 @@ pub(crate) struct FrameJob {
     pub(crate) frame: FrameHeader,
     /// Id of the plan; 0: this stage's own sweep.
     pub(crate) plan_id: u64,
-    /// Begin of the work on the frame, CLOCK_MONOTONIC, nanoseconds.
+    /// Start of the work on the frame, CLOCK_MONOTONIC, nanoseconds.
     pub(crate) taken_ns: i64,
     views: Vec<PlannedView>,
     stop_rule: StopRule,
@@ -35,7 +35,7 @@ const SPARE_TILES: usize = 2;
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum NextView {
     Cut {
-        /// Its index in the plan.
+        /// Index of the view in the plan.
         index: u32,
         /// Whether a newer frame has priority over it: it must not delay the next frame's views.
         is_yielding: bool,

@@ -1,5 +1,7 @@
 //! The rectification stage: moves messages between the ports, the core and the back end.
 
+use std::collections::BTreeMap;
+
 use anyhow::{Context as _, Result as Outcome};
 use flockeye_config::Pipeline;
 use flockeye_contract::{FrameEnds, FrameOrder, Frames, ViewHeader, Views};
@@ -19,8 +21,6 @@ use crate::silence_reports::SilenceReports;
 
 type FrameEvent = Event<Message<Frames>>;
 
-const REFUSED: &str = "frame refused";
-
 /// Inputs: frames, plans, and detections as acknowledgements. Outputs: views and frame ends.
 pub(crate) struct RectificationStage {
     inbox: InputPorts,
@@ -31,8 +31,8 @@ pub(crate) struct RectificationStage {
     cutter: Cutter,
     reports: SilenceReports,
     counters: SharedCounters,
-    refusals: Throttle,
-    failures: Throttle,
+    /// Throttle per text: many warnings of one text do not suppress another.
+    warnings: BTreeMap<&'static str, Throttle>,
 }
 
 impl Stage for RectificationStage {
@@ -54,8 +54,7 @@ impl Stage for RectificationStage {
             cutter: Cutter::new(rectifier, threads, context.counters.clone(), resolved.camera),
             reports: SilenceReports::new(ports.listening(), pipeline.view_overdue()),
             counters: context.counters.clone(),
-            refusals: Throttle::default(),
-            failures: Throttle::default(),
+            warnings: BTreeMap::new(),
         })
     }
 
@@ -77,7 +76,7 @@ impl Stage for RectificationStage {
             Action::End(end) => self.frame_ends.send(*end, &[])?,
             Action::TakeUp { frame, likely } => {
                 let done = self.announce(*frame, likely);
-                self.feed(*frame, done, REFUSED);
+                self.feed(*frame, done, "frame refused");
             }
             Action::Look { frame, search } => {
                 let done = self.look(*frame, search).map(Some);
@@ -104,12 +103,15 @@ impl Stage for RectificationStage {
 impl RectificationStage {
     /// Passes the outcome of an action on a frame to the core. A failed frame's end is published
     /// too, because other stages wait for it.
-    fn feed(&mut self, frame: FrameOrder, outcome: Outcome<Option<FrameEvent>>, what: &str) {
+    fn feed(
+        &mut self,
+        frame: FrameOrder,
+        outcome: Outcome<Option<FrameEvent>>,
+        what: &'static str,
+    ) {
         let event = outcome.unwrap_or_else(|error| {
             self.counters.add_failed(1);
-            // Separate throttles: many messages of one kind do not suppress the other kind.
-            let throttle = if what == REFUSED { &mut self.refusals } else { &mut self.failures };
-            if let Some(more) = throttle.admit() {
+            if let Some(more) = self.warnings.entry(what).or_default().admit() {
                 tracing::warn!(frame = frame.2, more_since = more, "{what}: {error:#}");
             }
             Some(Event::Failed(frame))

@@ -108,7 +108,7 @@ mod tests {
         FrameStamp { sequence, exposure_ns: at_ms * 1_000_000, ..FrameStamp::default() }
     }
 
-    /// How many tiles, each searched with one window, fit into what is left. They are spent.
+    /// Spends tiles while they fit, each searched with one window. Returns their number.
     fn tiles(budget: &mut VirtualBudget) -> usize {
         let tile = planned(ViewKind::Partition, Search::FineWindow);
         let mut spends = || budget.fits(&tile, false).then(|| budget.spend(&tile)).is_some();

@@ -40,8 +40,8 @@ fn look(x: f64, y: f64, z: f64, field_deg: f64, size_px: u32) -> View {
     View::looking_at(&Unit::new_normalize(Vector3::new(x, y, z)), field_deg.to_radians(), size_px)
 }
 
-/// How far the chessboard's corners lie from those of a plane (root mean square), pixels of the
-/// lens' picture: whatever the board's place, a rectified picture shows it as a homography.
+/// Distance of the chessboard's corners from those of a plane (root mean square), pixels of the
+/// lens' picture. At any place, a rectified picture shows the board as a homography.
 fn unevenness_px(frame: &Mat, camera: &Camera, view: View) -> f64 {
     let greys = cut(frame, camera, &Cut::cubic(view));
     let image = Mat::new_rows_cols_with_data(500, 500, &greys).unwrap();
@@ -91,8 +91,8 @@ fn a_chessboard_is_plane_in_the_rectified_view() {
     assert!(calibrated < 0.7 * uncalibrated, "{calibrated} px against {uncalibrated} px");
 }
 
-/// How alike both lenses see a strip round the border between them, if the camera is right for
-/// `distance_m`: the correlation of its greys, 1 at best.
+/// Correlation of the greys of a strip round the border between the lenses, 1 at best. Each lens
+/// sees the strip, and the camera is set to `distance_m`.
 fn agreement(frame: &Mat, camera: &Camera, towards: [f64; 3], distance_m: f64) -> f64 {
     let CameraModel::DualFisheye(lenses) = *camera.model() else { panic!("two lenses") };
     let [x, y, z] = towards;

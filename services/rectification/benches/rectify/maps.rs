@@ -8,7 +8,7 @@ use opencv::core::{self, CV_16SC2, CV_32FC1, Mat, Scalar};
 use opencv::imgproc;
 use opencv::prelude::*;
 
-/// The map of a view: columns and rows of the equirectangular image.
+/// The map of a view: columns and rows of the camera's image.
 pub(crate) struct Maps {
     pub columns: Mat,
     pub rows: Mat,

@@ -1,4 +1,4 @@
-//! What the core does with events, without any process.
+//! Tests of the core with events, without a process.
 
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 

@@ -18,7 +18,7 @@ struct Lens {
     circle: f32,
     centre: vec2f,
     curve: u32,
-    // Of the unified model.
+    // Parameter xi of the unified model.
     xi: f32,
     // k1 to k4 of the equidistant curve; xi and alpha of the double sphere; k1, k2, p1, p2 of the
     // unified model.
@@ -44,18 +44,18 @@ struct View {
     // Direction of the pixel `start` in the camera frame, in units of the view's pixels.
     direction: vec3f,
     size: u32,
-    // From one pixel to its right neighbour.
+    // Step from a pixel to its right neighbour.
     right: vec3f,
     words_per_row: u32,
-    // From one pixel to the one below.
+    // Step from a pixel to the one below.
     down: vec3f,
-    // The view's first word in the output.
+    // First word of the view in the output.
     first_word: u32,
     start: vec2i,
-    // The view's first workgroup, and how many lie side by side.
+    // First workgroup of the view, and number of workgroups side by side.
     first_tile: u32,
     tiles_across: u32,
-    // One over the distance that the view is right for, 1/m.
+    // Inverse of the distance at which the view is exact, 1/m.
     nearness: f32,
     // 0: bilinear, 1: cubic.
     interpolation: u32,
@@ -76,8 +76,8 @@ struct Batch {
 
 const PI = 3.14159265358979;
 
-// The camera's model, and how the views of a dispatch are interpolated: a pipeline for each, so that
-// none carries the registers of another.
+// Camera model, and interpolations of a dispatch's views. Each combination has its own pipeline, so
+// that none needs the registers of another.
 override model: u32;
 override interpolations: u32;
 
@@ -90,7 +90,7 @@ const DUAL_FISHEYE = 1u;
 const EQUIDISTANT = 0u;
 const DOUBLE_SPHERE = 1u;
 
-// Where a direction lies that no part of the image sees.
+// Position of a direction that no part of the image sees.
 const NOWHERE = vec2i(-2147483647 - 1, 0);
 
 // Abramowitz and Stegun 4.4.49, |t| <= 1. (The built-in atan2 may be off by 4096 units in the last
@@ -282,7 +282,7 @@ fn four(at: vec2i, is_inside: bool) -> vec4i {
     );
 }
 
-// As flockeye_imaging's sample.rs.
+// The arithmetic of flockeye_imaging's sample.rs.
 fn bilinear(at: vec2i) -> u32 {
     let first = at >> vec2u(16u);
     // Greys less 128. (Words would be as many loads as these.)
@@ -311,7 +311,7 @@ fn cubic_weights(fraction: i32) -> vec4i {
     return vec4i(first, second, 16384 - first - second - last, last);
 }
 
-// As flockeye_imaging's cubic.rs.
+// The arithmetic of flockeye_imaging's cubic.rs.
 fn cubic(at: vec2i) -> u32 {
     let first = (at >> vec2u(16u)) - 1;
     let sides = vec2i(i32(sphere.width), i32(sphere.height));
