@@ -127,7 +127,7 @@ fn measure(distance_m: f64, rounds: u64, costs: &mut Costs) {
 /// Cuts all tiles, and searches each with one window.
 fn tiles(sphere: &SphereImage<'_>, camera: Camera, costs: &mut Costs) {
     let parameters =
-        DetectorParameters { effort: CornerFit::Edges, ..DetectorParameters::default() };
+        DetectorParameters { corner_fit: CornerFit::Edges, ..DetectorParameters::default() };
     let windows = parameters.thresholds.clone();
     let mut detector = Detector::new(DICTIONARY, parameters).unwrap();
     let light = light();

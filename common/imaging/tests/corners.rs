@@ -295,9 +295,9 @@ fn images_without_a_marker_are_refused() {
     let print = MarkerPrint::of_bits(&[true; 25]).unwrap();
     let assert_refused = |image: &LumaImage<'_>, guess: &[ViewPixel; 4]| {
         for lighting in [Lighting::Even, Lighting::Uneven] {
-            let effort = CornerFit::WholePrint;
+            let corner_fit = CornerFit::WholePrint;
             let found =
-                refine_corners(image, &light, guess, &print, Grain::Pixels, lighting, effort);
+                refine_corners(image, &light, guess, &print, Grain::Pixels, lighting, corner_fit);
             assert_eq!(found, None, "{lighting:?}, {guess:?}");
         }
     };

@@ -32,7 +32,7 @@ const ROUNDS: usize = 15;
 /// those that OpenCV's function has too.
 fn parameters() -> DetectorParameters {
     let mut parameters =
-        DetectorParameters { effort: CornerFit::Edges, ..DetectorParameters::default() };
+        DetectorParameters { corner_fit: CornerFit::Edges, ..DetectorParameters::default() };
     parameters.thresholds.retain(|threshold| matches!(threshold.darker_by, DarkerBy::Codes(_)));
     parameters
 }

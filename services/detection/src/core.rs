@@ -40,7 +40,7 @@ impl Core {
         let parameters = DetectorParameters {
             min_side_px: pipeline.detection.min_side_px,
             // Where fusion aligns whole bodies, corners are only a start, and time matters more.
-            effort: match pipeline.fusion.align {
+            corner_fit: match pipeline.fusion.align {
                 true => CornerFit::Edges,
                 false => CornerFit::WholePrint,
             },
@@ -67,8 +67,9 @@ impl Core {
     }
 
     /// The record for a view: its header without the times of the search, and the markers found,
-    /// doubtful ones last, or why the view could not be searched. The header acknowledges the view
-    /// all the same. `None` if the view is meant for another worker.
+    /// doubtful ones last. An error in their place has the reason why the view could not be
+    /// searched; the header acknowledges the view all the same. `None` if the view is meant for
+    /// another worker.
     pub fn on_view(
         &mut self,
         header: &ViewHeader,

@@ -354,7 +354,7 @@ impl Detector {
         print: &MarkerPrint,
         lighting: Lighting,
     ) -> Option<RefinedCorners> {
-        refine_corners(image, light, guess, print, self.grain, lighting, self.parameters.effort)
+        refine_corners(image, light, guess, print, self.grain, lighting, self.parameters.corner_fit)
     }
 
     /// Whether fitted corners are precise enough for each sample to lie in its own cell. Otherwise

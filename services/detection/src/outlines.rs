@@ -102,7 +102,7 @@ struct Exit {
     step: i32,
     columns: i8,
     rows: i8,
-    /// On which side of the next pixel this one lies.
+    /// Side of the next pixel on which this one lies.
     came_from: u8,
     /// The mark that this pixel gets.
     mark: u8,

@@ -22,7 +22,7 @@ pub struct DetectorParameters {
     /// Largest deviation of an outline from a polygon with three of a square's corners, pixels.
     pub corner_accuracy_px: f64,
     /// Parts of the marker that are fitted to find its corners.
-    pub effort: CornerFit,
+    pub corner_fit: CornerFit,
 }
 
 impl Default for DetectorParameters {
@@ -31,7 +31,7 @@ impl Default for DetectorParameters {
             min_side_px: 11.0,
             thresholds: thresholds(ViewKind::Partition, Search::AllWindows, 1.0).collect(),
             corner_accuracy_px: 2.0,
-            effort: CornerFit::default(),
+            corner_fit: CornerFit::default(),
         }
     }
 }

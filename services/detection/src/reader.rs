@@ -8,8 +8,9 @@ use crate::drawn::{
 };
 use crate::reading::Reading;
 
-/// Standard deviations of the blurs that markers are compared at, in cells: a sharp marker, one
-/// with a side of 20 px, and one of 12 px, all with a lens's blur of about a pixel.
+/// Standard deviations of the blurs that markers are compared at, in cells. They are those of a
+/// sharp marker, one with a side of 20 px, and one of 12 px. All have a lens's blur of about a
+/// pixel.
 const BLURS_CELLS: [f64; 3] = [0.15, 0.4, 0.65];
 
 /// The blurs that steps are compared at.
@@ -25,8 +26,8 @@ const MIN_RESIDUAL: f32 = 1e-4;
 
 /// Correlation of a square without a marker with the best of many markers. Squares of textures have
 /// 0.64 to 0.69 in the median, those of real panoramas 0.72 to 0.76. With this as the alternative,
-/// of 11,216 squares of textures 24 have a ratio of 10 or more, and of 1,019 of panoramas 8, all in
-/// the oldest dictionary but 6.
+/// 24 of 11,216 squares of textures have a ratio of 10 or more, and 8 of 1,019 of panoramas. All
+/// but 6 of these are in the oldest dictionary.
 const NO_MARKER_CORRELATION: f32 = 0.65;
 
 /// Result of decoding a square.

@@ -7,10 +7,11 @@
 //!
 //! - **Even light**: the radiance of the inner cells. It is best where cells are hardly wider than
 //!   the blur, or where white saturates.
-//! - **Light from place to place**: white in the shade may be darker than black in the sun. But light
-//!   changes little from a cell to its neighbour, while print changes much. So the *steps* between
-//!   neighbouring cells are compared, differences of the logarithm of their radiance. Where the edge
-//!   of a shadow crosses the marker, only the steps across that edge are wrong.
+//! - **Light from place to place**: white in the shade may be darker than black in the sun, so a
+//!   cell by itself has little information. But light changes little from a cell to its neighbour,
+//!   while print changes much. So the *steps* between neighbouring cells are compared, differences
+//!   of the logarithm of their radiance. Where the edge of a shadow crosses the marker, only the
+//!   steps across that edge are wrong.
 
 use flockeye_geometry::view::ViewPixel;
 use flockeye_imaging::image::LumaImage;
@@ -46,7 +47,7 @@ pub(crate) struct Reading {
     /// Mean step from the border out to the quiet zone, as a share of that from black print to
     /// white paper: the least of the four sides.
     pub(crate) quiet_zone: f32,
-    /// By how much the quiet zone is brighter than the border, mean of the four sides.
+    /// Contrast of the quiet zone with the border, mean of the four sides.
     pub(crate) edge_contrast: f32,
 }
 

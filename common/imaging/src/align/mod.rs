@@ -76,7 +76,8 @@ const PATCH_MARGIN_BLURS: f64 = 4.0;
 const MOMENT_S: f64 = 1e-3;
 /// Least motion with a direction, pixels of the patch in that time.
 const MIN_MOTION_PX: f64 = 1e-3;
-/// Extra blur of the coarse fit, cells of the smallest marker. More lets the background bleed in.
+/// Extra blur of the coarse fit, cells of the smallest marker. With more the fit diverged, because
+/// the background bleeds in.
 const COARSE_BLUR_CELLS: f64 = 0.45;
 const COARSE_ITERATIONS: usize = 6;
 /// Most fits without the parts that prove to be occluded.
@@ -86,8 +87,9 @@ const COMMON_EDGE_SIGMA_PX: f64 = 0.012;
 /// The covariance is multiplied by 1 + this times the square of the occluded share.
 ///
 /// An occluder shows through the point spread along its rim, beyond the pixels that are left out.
-/// On simulated flights NEES without this factor was 5 with more than 40 % occluded, and 2.4
-/// without occlusion. With it NEES is 2.4 to 3.4 everywhere.
+/// That error grows with the occluded share. On simulated flights (seeds 1001 to 1150) NEES without
+/// this factor was 5 with more than 40 % occluded, and 2.4 without occlusion. With it NEES is 2.4
+/// to 3.4 everywhere.
 const OCCLUSION_RIM: f64 = 3.0;
 
 /// Aligns `print` with a picture, from the pose `start` (`camera_from_markers`).
@@ -110,7 +112,8 @@ pub fn align(
 /// Finds `print` within [`REACQUIRE_RADIUS_RAD`] of its `predicted` pose (`camera_from_markers`),
 /// turned by up to about ten degrees.
 ///
-/// This is the most expensive search. `None` unless the result is accepted.
+/// It is the most expensive search, for a body that no other search found. `None` unless the result
+/// is accepted.
 pub fn reacquire(
     print: &BodyPrint,
     picture: &Picture<'_>,
@@ -141,7 +144,8 @@ pub fn reacquire(
 /// Start poses (`camera_from_markers`) for alignment of `print` at a `place`, in any attitude: the
 /// likeliest of each kind of template first. `templates` belong to the print.
 ///
-/// They need [`AlignOptions::coarse_first`]. None where the picture does not show the place.
+/// They are rough, so they need [`AlignOptions::coarse_first`]. The list is empty where the picture
+/// does not show the place.
 pub fn starts_at(
     print: &BodyPrint,
     templates: &Templates,
@@ -310,9 +314,9 @@ impl PreparedView {
         Ok((fit, evidence))
     }
 
-    /// Covariance of an error that all edges share and no residual shows: black grows or shrinks by
+    /// Covariance of an error that all edges share and no residual shows. Black grows or shrinks by
     /// some hundredths of a pixel, which moves the body along the line of sight. Causes are the
-    /// camera's response, the shape of the point spread, and hidden occlusions.
+    /// camera's response, the shape of the point spread, and occlusions that were not found.
     fn common_error(&self, print: &BodyPrint, patch_from_markers: &Isometry3<f64>) -> Matrix6<f64> {
         let position = patch_from_markers.translation.vector;
         let sphere_px = self.patch.pinhole.focal_px / self.prior.magnification;

@@ -12,7 +12,7 @@
 //! | w, b | white and black level of the facet |
 //! | B | radiance of the background, where the facets leave part of the pixel uncovered |
 //!
-//! The background is measured beside the body. A black background would bias the range by 0.1 %.
+//! The background is measured beside the body. Taken as black, it biased the range by 0.1 % at 2 m.
 //!
 //! Each seam between two facets may add or take away some radiance. Paper has thickness, folds are
 //! round, and the end of one facet's white is known to a millimetre at best. Without this line, a
@@ -50,7 +50,7 @@ pub(super) struct Scene<'p> {
     pub code_bend: f64,
 }
 
-/// Number, blurred white and black share of each facet in a pixel, and the number of facets.
+/// Index, blurred white share and blurred black share of each facet in a pixel, and their count.
 pub(super) type FacetShares = ([(usize, f64, f64); MAX_FACETS], usize);
 
 impl<'p> Scene<'p> {
@@ -136,7 +136,8 @@ impl Modelled {
 /// Models one pixel that lies on the first of `facets` and also shows the others.
 ///
 /// `seams` are (edge of the first facet, seam) within reach of the pixel, `background` is the
-/// radiance next to the body. The motion of a faint seam's line with the pose is left out.
+/// radiance next to the body. The motion of a seam's line with the pose is left out, because the
+/// line is faint.
 #[inline(always)]
 pub(super) fn model(
     scene: &Scene<'_>,

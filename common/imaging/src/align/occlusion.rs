@@ -1,8 +1,8 @@
 //! Parts of a body that something in front of it occludes: an arm, a propeller, the own airframe.
 //!
-//! An occluder's soft edge moves every edge next to it, by millimetres at 2 m. Robust weights do
-//! not help, because a pixel that is a little too dark is no outlier. So occluded parts are left
-//! out:
+//! An occluder is mostly darker than paper, and its soft edge moves every edge next to it. At 2 m
+//! it moves them by millimetres, where alignment is good to a tenth of that. Robust weights do not
+//! help, because a pixel that is a little too dark is no outlier. So occluded parts are left out:
 //!
 //! - Pixels with large residuals are left out, with all pixels that the point spread mixes with
 //!   them.

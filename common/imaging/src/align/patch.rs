@@ -7,7 +7,8 @@ use super::pinhole::Pinhole;
 use crate::image::LumaImage;
 use crate::light::LinearLight;
 
-/// Code values from here on count as saturated: cameras clip a little below the end.
+/// Code values from here on count as saturated: cameras clip a little below the end of the range,
+/// and magnification smooths.
 const SATURATED: u8 = 252;
 
 /// A view with its pixels.

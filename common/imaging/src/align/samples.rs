@@ -53,8 +53,8 @@ pub(super) struct Sample {
 const NONE: u8 = u8::MAX;
 
 impl Sample {
-    /// Residual of the pixel: its radiance less the model's. `None` for a saturated pixel that is
-    /// consistent with its model.
+    /// Residual of the pixel: its radiance less the model's. `None` for a saturated pixel below its
+    /// model, because its radiance may be higher than stated.
     #[inline(always)]
     pub(super) fn counted(&self, residual: f64) -> Option<f64> {
         (!self.is_saturated || residual > 0.0).then_some(residual)
@@ -97,7 +97,6 @@ impl Sample {
 /// The pixels inside facets that face the camera, away from the silhouette. Those that show the
 /// same facets are neighbours in the list.
 pub(super) fn choose(patch: &Patch, scene: &Scene<'_>) -> Vec<Sample> {
-    let visible = &scene.visible;
     let mut found: Vec<(u16, u16, u8, Reach)> = Vec::new();
     for (index, facet) in scene.print.facets.iter().enumerate() {
         // Facets beyond number 254 are left out: no body has that many.
@@ -106,9 +105,9 @@ pub(super) fn choose(patch: &Patch, scene: &Scene<'_>) -> Vec<Sample> {
         else {
             continue;
         };
-        let room = room(facet, blurred_facet);
+        let edges = edges(facet, blurred_facet, &scene.visible);
         let plane_from_pixel = visible_facet.plane_from_pixel(&patch.pinhole);
-        let sides = sides(facet, blurred_facet, visible, room, &plane_from_pixel);
+        let sides = sides(blurred_facet, &edges, &plane_from_pixel);
         let bounds = |axis: usize, size: usize| {
             let (low, high) = visible_facet.span_px(axis);
             low.ceil().max(0.0) as usize..((high.floor() + 1.0).max(0.0) as usize).min(size)
@@ -117,7 +116,7 @@ pub(super) fn choose(patch: &Patch, scene: &Scene<'_>) -> Vec<Sample> {
         for y in bounds(1, patch.height) {
             for x in columns_within(&sides, y, &columns) {
                 let at = on_plane(&plane_from_pixel, x, y);
-                if let Some(reach) = reach(facet, blurred_facet, visible, room, at) {
+                if let Some(reach) = reach(blurred_facet, &edges, at) {
                     found.push((x as u16, y as u16, number, reach));
                 }
             }
@@ -168,23 +167,19 @@ fn on_plane(plane_from_pixel: &Matrix3<f64>, x: usize, y: usize) -> Vector2<f64>
 
 /// Lines in the patch that enclose a facet's pixels: its edges, moved inwards by their margins.
 fn sides(
-    facet: &PrintedFacet,
     blurred: &BlurredFacet<'_>,
-    visible: &[Option<VisibleFacet>],
-    room: f32,
+    edges: &[(Option<usize>, f32)],
     plane_from_pixel: &Matrix3<f64>,
 ) -> Vec<Vector3<f64>> {
     // The depth inside an edge is linear in the plane. Multiplied by the homography's denominator
     // it is also linear in the patch. The last line is that denominator itself.
-    let edge = |k: usize| {
+    let side = |(k, &(_, margin)): (usize, &(Option<usize>, f32))| {
         let normal = blurred.inwards(k).cast::<f64>();
-        let least = margin(room, visible_across(facet, k, visible));
-        let offset = f64::from(blurred.depth(k, Vector2::zeros()) - least);
+        let offset = f64::from(blurred.depth(k, Vector2::zeros()) - margin);
         plane_from_pixel.transpose() * normal.push(offset)
     };
-    let edges = (0..facet.outline.len()).map(edge);
     let before = plane_from_pixel.row(2).transpose();
-    edges.chain([before]).collect()
+    edges.iter().enumerate().map(side).chain([before]).collect()
 }
 
 /// The columns of a row between the lines, or one more at either end.
@@ -204,32 +199,27 @@ fn columns_within(sides: &[Vector3<f64>], y: usize, columns: &Range<usize>) -> R
     first as usize..(last + 1.0).max(0.0) as usize
 }
 
-/// Size of a facet, from 0 to 1; see [`LARGE_FACET`].
-fn room(facet: &PrintedFacet, blurred: &BlurredFacet<'_>) -> f32 {
+/// The edges of a facet: the facet across each, if it faces the camera, and the margin inside it.
+/// Pixels within a margin are left out.
+fn edges(
+    facet: &PrintedFacet,
+    blurred: &BlurredFacet<'_>,
+    visible: &[Option<VisibleFacet>],
+) -> Vec<(Option<usize>, f32)> {
     let middle = Vector2::zeros();
     let depths = (0..facet.outline.len()).map(|edge| blurred.depth(edge, middle));
+    // Size of the facet, from 0 to 1; see [`LARGE_FACET`].
     let room = (depths.fold(f32::MAX, f32::min) - LARGE_FACET.0) / (LARGE_FACET.1 - LARGE_FACET.0);
-    room.clamp(0.0, 1.0)
-}
-
-/// Margin along an edge, by the visible facet across it: there is none where the body ends.
-#[inline]
-fn margin(room: f32, across: Option<usize>) -> f32 {
-    match across {
-        Some(_) => room * NO_INFLUENCE,
-        None => SILHOUETTE_MARGIN + room * (NO_INFLUENCE - SILHOUETTE_MARGIN),
-    }
-}
-
-/// The facet across an edge, if it faces the camera.
-#[inline]
-fn visible_across(
-    facet: &PrintedFacet,
-    edge: usize,
-    visible: &[Option<VisibleFacet>],
-) -> Option<usize> {
-    let (neighbour, _) = facet.neighbours[edge]?;
-    visible[neighbour].is_some().then_some(neighbour)
+    let room = room.clamp(0.0, 1.0);
+    let edge = |neighbour: &Option<(usize, usize)>| {
+        let across = neighbour.map(|(facet, _)| facet).filter(|&facet| visible[facet].is_some());
+        let margin = match across {
+            Some(_) => room * NO_INFLUENCE,
+            None => SILHOUETTE_MARGIN + room * (NO_INFLUENCE - SILHOUETTE_MARGIN),
+        };
+        (across, margin)
+    };
+    facet.neighbours.iter().map(edge).collect()
 }
 
 /// The edges near a point of a facet.
@@ -238,6 +228,7 @@ struct Reach {
     /// Edges within reach, and the facets across them.
     edges: [u8; 2],
     neighbours: [u8; 2],
+    /// The nearest silhouette edge.
     silhouette: Option<usize>,
 }
 
@@ -245,17 +236,15 @@ struct Reach {
 /// or too near to a corner.
 #[inline]
 fn reach(
-    facet: &PrintedFacet,
     blurred: &BlurredFacet<'_>,
-    visible: &[Option<VisibleFacet>],
-    room: f32,
+    facet_edges: &[(Option<usize>, f32)],
     at: Vector2<f64>,
 ) -> Option<Reach> {
     let (mut edges, mut neighbours) = ([NONE; 2], [NONE; 2]);
     let mut silhouette: Option<(usize, f32)> = None;
     let mut count = 0;
     let mut near_edges = 0;
-    for k in 0..facet.outline.len() {
+    for (k, &(across, margin)) in facet_edges.iter().enumerate() {
         let depth = blurred.depth(k, at);
         // False for a NaN.
         let is_inside = depth >= 0.0;
@@ -263,9 +252,8 @@ fn reach(
             return None;
         }
         near_edges += u32::from(depth < CORNER);
-        let across = visible_across(facet, k, visible);
         match across {
-            _ if depth < margin(room, across) => return None,
+            _ if depth < margin => return None,
             _ if depth >= REACH => {}
             // The numbers fit into a byte unless the facet has more than 254 edges or the body as
             // many facets; then there is no such sample.
@@ -322,9 +310,9 @@ mod tests {
                 let per_pixel = visible_facet.facet_from_pixel;
                 let spread = per_pixel * Matrix2::identity() * blur * per_pixel.transpose();
                 let blurred = BlurredFacet::new(facet, &spread, &Vector2::zeros());
-                let room = room(facet, &blurred);
+                let edges = edges(facet, &blurred, &visible);
                 let plane = visible_facet.plane_from_pixel(&pinhole);
-                let sides = sides(facet, &blurred, &visible, room, &plane);
+                let sides = sides(&blurred, &edges, &plane);
                 for y in 0..SIZE {
                     let within = columns_within(&sides, y, &(0..SIZE));
                     prop_assert!(within.end <= SIZE);
@@ -333,7 +321,7 @@ mod tests {
                         let at = on_plane(&plane, x, y);
                         // Behind the camera the plane has no points.
                         let is_ahead = (plane * Vector3::new(x as f64, y as f64, 1.0)).z > 0.0;
-                        if is_ahead && reach(facet, &blurred, &visible, room, at).is_some() {
+                        if is_ahead && reach(&blurred, &edges, at).is_some() {
                             samples += 1;
                             prop_assert!(within.contains(&x), "{} {}: {:?}", x, y, within);
                         }

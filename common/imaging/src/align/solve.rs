@@ -21,15 +21,16 @@ use super::robust::facet_sigmas;
 use super::samples::{self, Sample};
 use super::state::{Layout, Prior, State, add_priors, apply_step};
 
-/// Motion of the body's rim in the last step, pixels: the next step would be a fraction of it.
+/// Motion of the body's rim below which a step is the last, pixels: the next step would be a
+/// fraction of it.
 const CONVERGED_PX: f64 = 0.03;
-/// Motion of the rim in a step below which large residuals are occlusions, not an error of the
-/// pose.
+/// Motion of the rim in a step, pixels, below which large residuals are occlusions, not an error of
+/// the pose.
 const NEAR_CONVERGED_PX: f64 = 0.3;
-/// Motion of the rim after which samples are chosen again, pixels.
+/// Motion of the rim since the samples were chosen, pixels, above which they are chosen again.
 const RESAMPLE_SHIFT_PX: f64 = 0.5;
-/// Number of first steps whose motion is no wandering. Every fit takes more, because the blur
-/// settles later than the pose. A good start needs hardly more.
+/// Number of first steps whose motion does not count as wandering. Every fit takes more, because
+/// the blur settles later than the pose. A good start needs hardly more.
 const STRAIGHT_STEPS: usize = 2;
 /// Least number of samples of a fit.
 const MIN_SAMPLES: usize = 60;
@@ -190,8 +191,8 @@ mod tests {
 
     #[test]
     fn a_step_counts_in_deviations_of_the_pose_whatever_else_it_changes() {
-        // The seventh unknown is bound to the first: alone, the first has a deviation of 1 / sqrt(4
-        // - 3² / 9) = 1 / sqrt(3).
+        // The seventh unknown is bound to the first. So the first has a deviation of
+        // 1 / sqrt(4 - 3² / 9) = 1 / sqrt(3).
         let mut normal = DMatrix::<f64>::identity(7, 7);
         (normal[(0, 0)], normal[(6, 6)]) = (4.0, 9.0);
         (normal[(0, 6)], normal[(6, 0)]) = (3.0, 3.0);

@@ -37,8 +37,8 @@ const BLUR_LIMITS_PX: (f64, f64) = (0.35, 6.0);
 
 /// Distance of either Gaussian from the middle, as a share of the path: the fourth root of 1/240.
 pub(super) const PATH_OFFSET: f64 = 0.254_066;
-/// Variance of either Gaussian along the path, as a share of its square: 1/12 less the square of
-/// the offset.
+/// Variance of either Gaussian along the path, as a share of the squared path: 1/12 less the square
+/// of the offset.
 pub(super) const PATH_VARIANCE: f64 = 0.018_784;
 
 /// Values of the unknowns.

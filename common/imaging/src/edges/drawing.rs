@@ -56,8 +56,8 @@ fn mean(cells: &[f32], count: usize, (a, b): (f32, f32), width: f32, height: f32
     upper + lower * (row(first + count + 2) - upper)
 }
 
-/// The cell before the edge nearest to `at`, counted from the row around the square, and the share
-/// of a box of this width about `at` that lies behind the edge.
+/// The cell before the edge nearest to `at`, counted from the row around the square. Also returns
+/// the share of a box of this width about `at` that lies behind the edge.
 fn nearest_edge(at: f32, width: f32) -> (usize, f32) {
     let edge = (at + 0.5).floor();
     (edge as usize, ((at - edge) / width + 0.5).clamp(0.0, 1.0))

@@ -10,7 +10,7 @@
 //! 3. `model` fits the blurred print to all samples of all four sides. All sides share white and
 //!    black. Each direction has its own blur, because motion blurs one more than the other. Each
 //!    edge has its own position and slope. The marker was decoded, so the cells behind the edge are
-//!    known. On small markers the border is hardly wider than the blur, and an edge fitted as if
+//!    known. On small markers the border is hardly wider than the blur. There an edge fitted as if
 //!    the border had no end would be some tenths of a pixel too far outside.
 //! 4. `line` fits a line to the edge's position in each profile, without outliers such as a
 //!    propeller or another edge. The scatter of the positions gives the covariance.
@@ -64,7 +64,7 @@ pub fn refine_corners(
     print: &MarkerPrint,
     grain: Grain,
     lighting: Lighting,
-    effort: CornerFit,
+    corner_fit: CornerFit,
 ) -> Option<RefinedCorners> {
     let size = mean_side_px(guess_in_view);
     // False for a NaN.
@@ -73,7 +73,7 @@ pub fn refine_corners(
         return None;
     }
     let edges = by_edges(image, light, guess_in_view, print, lighting)?;
-    let whole = match effort {
+    let whole = match corner_fit {
         CornerFit::WholePrint if lighting == Lighting::Even => {
             by_whole_print(image, light, &edges, print, grain).filter(|whole| {
                 let is_near = is_near(&whole.corners_in_view, guess_in_view);
@@ -203,7 +203,7 @@ fn fit_lines(sides: &[Side; 4], fit: &model::EdgeFit) -> Option<[EdgeLine; 4]> {
 }
 
 /// Standard deviation of an edge's position from errors of the model, as a share of the blur.
-/// Compression, sharpening and the shape of the blur shift an edge in all profiles alike.
+/// Compression, sharpening and a blur that is not Gaussian shift an edge in all profiles alike.
 const MODEL_SHARE: f64 = 0.03;
 
 /// Standard deviation of an edge's position from blurred neighbours, pixels: the border's inner

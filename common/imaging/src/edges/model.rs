@@ -24,12 +24,15 @@ const BLUR: usize = 8;
 const WHITE: usize = 10;
 const BLACK: usize = 11;
 
-/// Most steps of a first fit, which only gives the places of samples, and of later fits.
+// Limits of the first fit, which only gives the places of samples, then those of later fits.
+
+/// Most steps.
 const MAX_STEPS: [usize; 2] = [4, 8];
-/// Length of the last step, pixels.
+/// Length below which a step is the last, pixels.
 const CONVERGED_PX: [f64; 2] = [0.05, 0.01];
 /// Largest residual sigma of an accepted fit, as a share of the contrast.
 const MAX_RESIDUAL_SIGMA: [f64; 2] = [0.35, 0.25];
+
 /// Least radiance of white above black, share of nominal white.
 const MIN_CONTRAST: f64 = 0.01;
 /// Scale of Cauchy's weight function, standard deviations.

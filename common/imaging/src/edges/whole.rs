@@ -39,7 +39,8 @@ use crate::occluded::{least_residual, mark_disc, reach_px};
 use crate::square::SquareInView;
 use sums::{ROOM, RobustSums, UNKNOWNS, Unknowns};
 
-/// The unknowns of the homography come first: of a map of the square's own plane.
+/// Number of unknowns of the homography, which come first: those of a projective map of the
+/// square's own plane.
 const PLACE: usize = 8;
 const BLUR: usize = 8;
 const WHITE: usize = 11;
@@ -47,7 +48,7 @@ const BLACK: usize = 12;
 const BEYOND: usize = 13;
 
 const ITERATIONS: usize = 10;
-/// Motion of every corner in the last step, steps of the grid.
+/// Largest motion of a corner below which a step is the last, steps of the grid.
 const CONVERGED: f64 = 0.02;
 /// Narrowest blur, steps of the grid. It cannot be distinguished from the width of a pixel.
 const MIN_BLUR: f64 = 0.4;

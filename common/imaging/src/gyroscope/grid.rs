@@ -128,7 +128,7 @@ impl PixelPlace {
 /// Averages frames of one camera to the finest level.
 #[derive(Debug, Clone)]
 pub struct Sampler {
-    /// Whether blocks of the camera's rows and columns are pixels of the level.
+    /// Side of the camera's blocks that are pixels of the level, if they have whole pixels.
     block: Option<usize>,
     /// Otherwise, columns and rows of the camera's pixels for each pixel of the level.
     table: Vec<[(u32, u32); SAMPLES * SAMPLES]>,

@@ -2,10 +2,11 @@
 //!
 //! Both frames are averaged to 480x240 pixels, and to two levels below. Points with texture of the
 //! earlier frame are looked up in the later one. Robust Gauss-Newton steps find the rotation with
-//! the least differences, coarse level first. Beside the rotation there are five more unknowns: the
-//! camera's translation over one common distance (a point at direction d moves by t - d (d t)), and
-//! the gain and offset of the brightness. Steps are taken on the earlier frame's gradients (inverse
-//! compositional: Baker and Matthews, Lucas-Kanade 20 Years On, 2004), so they are computed once.
+//! the least differences, coarse level first. Beside the rotation there are five more unknowns.
+//! Three are the camera's translation t over one common distance: a point at direction d moves by
+//! t - d (d t). Two are the gain and offset of the brightness. Steps are taken on the earlier
+//! frame's gradients (inverse compositional: Baker and Matthews, Lucas-Kanade 20 Years On, 2004),
+//! so they are computed once.
 //!
 //! The drone itself stays in place in the picture while the camera turns. It is detected and left
 //! out ([`own_airframe`]), because it would pull the rotation towards zero.

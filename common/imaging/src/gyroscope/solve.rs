@@ -10,12 +10,13 @@ use super::points::{MIN_POINTS, TexturePoint};
 
 /// Steps at each level, the finest first, without an expected rotation.
 const STEPS: [usize; 3] = [3, 3, 5];
-/// Steps at each level with an expected rotation that is right within tenths of a degree.
+/// Steps at each level with an expected rotation that is right within tenths of a degree: coarse
+/// levels add little.
 const EXPECTED_STEPS: [usize; 3] = [2, 2, 0];
 /// Ratio of residuals on the coarsest level below which the last rotation is a better start than
 /// the expected one. After a clock jump the expected rotation is too large.
 const BETTER: f32 = 0.8;
-/// Length of a step that ends a level, radians.
+/// Length below which a step is the last of a level, radians.
 const SHORT_RAD: f64 = 2e-5;
 /// Least scale of the residuals, code values: quantization.
 const MIN_SCALE: f32 = 0.3;
@@ -44,8 +45,9 @@ struct Warp {
 /// The rotation from the points of an earlier frame to a later frame, both at all levels, the
 /// finest first. `None` where there is too little texture.
 ///
-/// The start is `expected` from another source, or else the previous rotation, `last`. Also returns
-/// the later less earlier code values of all points of the last level.
+/// The start is `expected` from another source. It is `last`, the previous rotation, if that fits
+/// better or nothing is expected. Also returns the later less earlier code values of all points of
+/// the finest level with enough points.
 pub fn rotation(
     points: &[Vec<TexturePoint>],
     later: &[Level],
@@ -61,7 +63,7 @@ pub fn rotation(
     };
     let mut warp = Warp::of(start);
     let levels = points.iter().zip(later).zip(steps);
-    let mut last = None;
+    let mut finest = None;
     for ((points, level), steps) in levels.rev() {
         let counted = counted_of(points, airframe);
         if steps == 0 || counted.len() < MIN_POINTS {
@@ -75,9 +77,9 @@ pub fn rotation(
                 break;
             }
         }
-        last = Some((points, level, counted));
+        finest = Some((points, level, counted));
     }
-    let (points, level, counted) = last?;
+    let (points, level, counted) = finest?;
     let all: Vec<usize> = (0..points.len()).collect();
     let residuals = residuals(points, &all, level, &warp);
     let of_counted: Vec<f32> = counted.iter().map(|&index| residuals[index]).collect();
@@ -91,7 +93,7 @@ fn counted_of(points: &[TexturePoint], airframe: &[AirframeCell]) -> Vec<usize> 
     (0..points.len()).filter(|&index| !airframe[points[index].place.cell].is_airframe()).collect()
 }
 
-/// Whether the expected rotation fits the coarsest level about as well as the last one.
+/// Whether the expected rotation fits the coarsest level about as well as the last one, or better.
 fn is_as_expected(
     points: &[Vec<TexturePoint>],
     later: &[Level],

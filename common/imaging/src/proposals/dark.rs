@@ -20,7 +20,7 @@ pub(super) struct DarkRuns {
     sums: Vec<u16>,
     limits: Vec<u8>,
     row: Vec<u8>,
-    /// Columns of dark pixels, from the first to before the last.
+    /// Columns of each run.
     runs: Vec<Range<u16>>,
 }
 
@@ -53,6 +53,7 @@ impl DarkRuns {
             }
         }
     }
+
     #[inline(always)]
     fn sum_blocks(&mut self, grey: &LumaImage<'_>) {
         let (width, height) = (grey.width(), grey.height());

@@ -76,6 +76,7 @@ impl Regions {
         }
         std::mem::swap(&mut self.above, &mut self.here);
     }
+
     pub(super) fn iter(&self) -> impl Iterator<Item = &Region> {
         let own = |(label, &parent): (usize, &u32)| label == parent as usize;
         let roots = self.parents.iter().enumerate().map(own);
@@ -105,9 +106,11 @@ impl Region {
             area: self.area + other.area,
         }
     }
+
     pub(super) fn width(&self) -> usize {
         usize::from(self.right - self.left) + 1
     }
+
     pub(super) fn height(&self) -> usize {
         usize::from(self.bottom - self.top) + 1
     }

@@ -19,7 +19,8 @@ pub(super) struct CameraMapping<'a> {
 /// Points between the nodes where the first term that a quadratic omits is nearly largest.
 const CHECKS: [[f64; 2]; 4] = [[-0.55, -0.55], [0.55, -0.55], [-0.55, 0.55], [0.55, 0.55]];
 
-/// Largest error of the quadratic at the checked points, pixels: between them it may be larger.
+/// Largest error of the quadratic at the checked points, pixels. It is less than
+/// [`super::patch::MAX_INTERPOLATION_ERROR_PX`], because between them the error may be larger.
 const MAX_CHECKED_ERROR_PX: f64 = 0.008;
 
 /// Tiles up to this side count as blank if the camera sees none of their nodes, pixels.

@@ -23,6 +23,7 @@ pub(super) struct EquirectangularMapping {
     /// Vector from one pixel to the one below.
     down: Vector3<f64>,
     focal_px: f64,
+    /// Sides of the sphere image, pixels.
     width: f64,
     height: f64,
 }
@@ -41,6 +42,8 @@ impl EquirectangularMapping {
             height: f64::from(camera.height),
         }
     }
+
+    /// Direction of the view's point (x, y).
     #[inline(always)]
     fn direction(&self, x: f64, y: f64) -> Vector3<f64> {
         self.corner + self.right * x + self.down * y
@@ -72,10 +75,10 @@ impl EquirectangularMapping {
 }
 
 impl Mapping for EquirectangularMapping {
-    /// The error bound of the columns is strict. Longitude is the imaginary part of log(w) for w =
-    /// x + iy, and w is linear over the view's plane, so the third derivative along a step s is at
-    /// most 2 |s/w|^3. Quadratic interpolation through -1, 0, 1 leaves at most sqrt(3)/27 of it.
-    /// Interpolation along the other coordinate adds 5/4 of that error.
+    /// The error bound of the columns is strict. Longitude is the imaginary part of log(w) for
+    /// w = x + iy, and w is linear over the view's plane. So the third derivative along a step s is
+    /// at most 2 |s/w|^3. Quadratic interpolation through -1, 0, 1 leaves at most sqrt(3)/27 of it.
+    /// Interpolation along the other coordinate adds 5/4 of the error along that coordinate.
     ///
     /// The bound of the rows, 1 + 1/|w|^2 in units of the focal length, is an envelope of the
     /// errors found over random tiles.
@@ -113,7 +116,8 @@ impl Mapping for EquirectangularMapping {
             let dx = right.x * across_nodes[k] + down.x * along_nodes[k];
             let dy = right.y * across_nodes[k] + down.y * along_nodes[k];
             let dz = right.z * across_nodes[k] + down.z * along_nodes[k];
-            // Angles relative to the middle's, as arguments of complex quotients.
+            // Angles relative to the middle's longitude and latitude, as arguments of complex
+            // quotients.
             let turned = dy * middle.x - dx * middle.y;
             let ahead = radius * radius + dx * middle.x + dy * middle.y;
             columns[k] = column_scale * atan(turned / ahead);

@@ -13,7 +13,8 @@ pub struct SphereImage<'a> {
 }
 
 impl<'a> SphereImage<'a> {
-    /// An image with rows `stride` bytes apart. Bytes between rows are ignored.
+    /// An image with rows as wide as the camera's, `stride` bytes apart. Bytes between rows are
+    /// ignored.
     ///
     /// # Errors
     /// Sides out of range, overlapping rows, or a slice that ends before the last pixel. The width

@@ -27,7 +27,8 @@ pub(super) struct ViewTile {
     pub height: u32,
 }
 
-/// `terms[power of y][power of x]`, 1/65536 px, for x and y from -1 to 1 over the tile.
+/// A quadratic in each coordinate: `terms[power of y][power of x]`, 1/65536 px, for x and y from -1
+/// to 1 over the tile.
 type Quadratic = [[f32; 3]; 3];
 
 /// Positions in the sphere image over a tile, relative to that of the tile's middle.
@@ -74,7 +75,8 @@ impl TilePositions {
         }
     }
 
-    /// Position relative to that of the middle, pixels; the point in halves of the tile's sides.
+    /// Position of a point of the tile relative to that of its middle, pixels. The point is given
+    /// in halves of the tile's sides.
     pub(super) fn offset_px(&self, across: f64, along: f64) -> [f64; 2] {
         self.terms.map(|terms| {
             let [constant, linear, square] = terms
@@ -113,7 +115,8 @@ impl TilePositions {
 }
 
 impl Series {
-    /// Whether all of the first `rows` values certainly lie within the limits.
+    /// Whether all of the first `rows` values certainly lie in `first` ..= `last`, 1/65536 px. The
+    /// result may be `false` although they do.
     #[inline(always)]
     pub(super) fn stays_within(&self, rows: i32, [first, last]: [i32; 2]) -> bool {
         let steps = rows - 1;

@@ -79,11 +79,13 @@ impl RobustSums {
         self.normal[unknown][unknown] += weight;
         self.gradient[unknown] += weight * residual;
     }
+
     pub(super) fn normal(&self) -> Normal {
         symmetric(&self.normal)
     }
 
-    /// Covariance of the gradient, corrected for the degrees of freedom.
+    /// Covariance of the gradient, from the residuals' squares, corrected for the degrees of
+    /// freedom.
     pub(super) fn scattered(&self) -> Option<Normal> {
         let count = self.sizes.len() as f64;
         Some(symmetric(self.scattered.as_ref()?) * (count / (count - UNKNOWNS as f64)))
