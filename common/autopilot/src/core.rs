@@ -55,9 +55,9 @@ pub struct Core {
 }
 
 impl Core {
-    /// A core with settings that the caller has checked. Messages have UTC by this fixed offset.
-    /// Such a clock never jumps, even if the system's clock is set, so it is synchronised with the
-    /// autopilot's only once.
+    /// A core with settings that the caller has checked. Messages have UTC by this fixed offset from
+    /// CLOCK_MONOTONIC. Such a clock never jumps, even if the system's clock is set. So a receiver
+    /// that has synchronised with it need not do so again.
     pub fn new(settings: Autopilot, utc_less_monotonic_ns: i64) -> Self {
         Self {
             utc_less_monotonic_ns,

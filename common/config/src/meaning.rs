@@ -197,6 +197,7 @@ impl Meaning<'_> {
                 let near = division.views(pipeline, &camera).err();
                 let far = resolve::high_resolution_tiles(pipeline, &camera).err();
                 for fault in [near, far].into_iter().flatten() {
+                    // A fault of the partition itself is left to `Resolved::of`.
                     if fault.key != resolve::PARTITION {
                         self.problem(&fault.key, fault.reason);
                     }

@@ -123,7 +123,8 @@ impl FrameHeader {
 
     /// Refuses a header that does not describe `payload_bytes` bytes of pixels.
     ///
-    /// Then the luma plane has `height` rows of `width` bytes, `stride` apart, within the payload.
+    /// After the check, the luma plane has `height` rows of `width` bytes, `stride` apart, within
+    /// the payload.
     pub fn check(&self, payload_bytes: usize) -> Result<(), ContractError> {
         check_image(self.width, self.height, self.stride)?;
         Projection::try_from(self.projection)?;

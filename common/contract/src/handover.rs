@@ -87,7 +87,7 @@ pub(crate) fn only(
 }
 
 impl DetectionHeader {
-    /// The worker that answered, and the one that requested.
+    /// The worker that answered, and the rectification that requested the view.
     pub(crate) fn senders(&self) -> [Option<MessageSender>; 2] {
         let [asking, _] = only(StageName::Rectification, self.view_generation, &self.stamp);
         let answering = MessageSender {

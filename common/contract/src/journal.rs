@@ -50,7 +50,7 @@ pub struct JournalEntry {
     /// Time used for the event, CLOCK_MONOTONIC, nanoseconds. For `said`: the time of writing the
     /// messages.
     pub at_ns: i64,
-    /// For a received message: `stamp.sequence` of its frame.
+    /// `stamp.sequence` of the frame of a received message.
     pub sequence: u64,
     /// `stamp.epoch` of its frame.
     pub epoch: u32,
@@ -60,17 +60,17 @@ pub struct JournalEntry {
     pub kind: u32,
     /// The message's own `generation`.
     pub generation: u32,
-    /// For a detection record: its `view_generation`.
+    /// `view_generation` of a detection record.
     pub view_generation: u32,
-    /// For a view or a record: its `view_index`.
+    /// `view_index` of a view or a record.
     pub view_index: u32,
-    /// For a view or a record: its `attempt`.
+    /// `attempt` of a view or a record.
     pub attempt: u32,
-    /// For a view or a record: its `worker`.
+    /// `worker` of a view or a record.
     pub worker: u32,
-    /// For `said`: number of messages of `track`.
+    /// Number of `track` messages, of `said`.
     pub tracks: u32,
-    /// For `said`: number of plans.
+    /// Number of plans, of `said`.
     pub plans: u32,
 }
 

@@ -89,8 +89,8 @@ pub struct SwarmPose {
     pub seen_ns: i64,
     /// Name of the drone.
     pub name: Text<32>,
-    /// Name of the drone through which its pose has the least covariance, where it is `chained`;
-    /// else empty.
+    /// Name of the drone before it on the chain with the smallest covariance, where it is
+    /// `chained`; else empty.
     pub through: Text<32>,
     /// A [`SwarmWay`].
     pub way: u32,

@@ -22,7 +22,10 @@ pub struct RadianceCache {
 }
 
 impl RadianceCache {
-    /// `measured`: the radiance of each code of a camera whose response is a table.
+    /// An empty cache. `measured`: the radiance of each code of a camera whose response is a table.
+    ///
+    /// # Errors
+    /// The table does not rise.
     pub fn new(measured: Option<[f32; 256]>) -> Result<Self, LightError> {
         let measured = measured.map(LinearLight::from_table).transpose()?;
         Ok(Self { measured, known: BTreeMap::new() })

@@ -50,6 +50,9 @@ pub fn at_exposure(planned: &PlannedView, exposure_ns: i64) -> View {
 }
 
 /// Pixels of a view, from its header and the message's items.
+///
+/// # Errors
+/// The items are too few.
 pub fn image_of<'p>(header: &ViewHeader, pixels: &'p [u8]) -> Result<LumaImage<'p>, ViewError> {
     let size = header.size_px as usize;
     Ok(LumaImage::new(pixels, size, size, header.stride as usize)?)

@@ -5,7 +5,7 @@ pub fn mean(values: &[f64]) -> Option<f64> {
     (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
 }
 
-/// The median of values in rising order. Of an even number it is the mean of the middle two. `None`
+/// The median of values in rising order: the mean of the middle two if their number is even. `None`
 /// without values.
 pub fn median(rising: &[f64]) -> Option<f64> {
     let upper = rising.get(rising.len() / 2)?;

@@ -69,7 +69,7 @@ impl Freshness {
         self.answer = Some((sent_utc_ns, arrival.monotonic_ns));
     }
 
-    /// Notes an answer that may be older.
+    /// Notes an answer, which may be older than published reports.
     pub(crate) fn note(&mut self, sent_utc_ns: i64) {
         self.newest_utc_ns = self.newest_utc_ns.max(Some(sent_utc_ns));
     }

@@ -63,8 +63,8 @@ impl Listener {
             changed: Condvar::new(),
             warnings: Mutex::default(),
         });
-        let of_thread = hub.clone();
-        let thread = spawn("zenoh-listener", move || run(&of_thread, &connection))?;
+        let background = hub.clone();
+        let thread = spawn("zenoh-listener", move || run(&background, &connection))?;
         Ok(Self { hub, thread: Some(thread) })
     }
 

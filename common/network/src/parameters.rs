@@ -39,7 +39,7 @@ pub struct NetworkParameters {
     /// client.
     pub listen: Vec<String>,
     /// Endpoints to connect to: `tcp/HOST:PORT` or `udp/ADDRESS:PORT`. One that does not answer is
-    /// retried in the background. Of two peers one connects to the other.
+    /// retried in the background. Only one of two peers connects to the other.
     pub connect: Vec<String>,
     /// The interface, by name or address, for the search for peers by UDP multicast
     /// (224.0.0.224:7446); none: no search.
@@ -158,7 +158,8 @@ impl NetworkParameters {
                 "retry": retry,
             },
             "scouting": {
-                // Time for which opening waits for the first links, milliseconds.
+                // Time for which opening waits for the first links, even if there are no others,
+                // milliseconds.
                 "delay": 200,
                 "multicast": {
                     "enabled": self.scout_interface.is_some(),

@@ -44,7 +44,8 @@ pub struct PeerState {
     freshness: Freshness,
     /// Whether reports are signed.
     is_secure: bool,
-    /// Arrival of the first and of the last message since the observer was queried.
+    /// Arrival of the first and of the last message before the observer's answer; none before the
+    /// first.
     unanswered: Option<(Instant, Instant)>,
 }
 

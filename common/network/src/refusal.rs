@@ -3,6 +3,7 @@
 use flockeye_contract::wire::{MAX_TARGETS, WireError};
 use flockeye_identity::Untrusted;
 
+/// Maximum observers of a listener.
 pub(crate) const MAX_OBSERVERS: usize = 64;
 
 /// Numbers of refused messages in an observer's name, by reason.
@@ -14,7 +15,7 @@ pub struct Refused {
     pub stale: u64,
     /// Reports with a future time.
     pub future: u64,
-    /// Reports that were received before.
+    /// Reports that were sent no later than one that was accepted before.
     pub replayed: u64,
     /// Reports that are not signed by the member of this name, or by one that does not answer.
     pub untrusted: u64,

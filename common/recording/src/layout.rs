@@ -106,7 +106,7 @@ pub(crate) fn numbers_of(kind: &Kind) -> Option<(&'static str, Option<usize>)> {
 mod tests {
     use super::*;
 
-    /// What has no place in a layout would be lost from recordings.
+    /// Bytes without a place in a layout would be lost from recordings.
     #[test]
     fn every_byte_of_a_message_has_its_place() {
         fn check(layout: &TopicLayout, described: &TypeDescription) {

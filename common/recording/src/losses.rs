@@ -11,7 +11,7 @@ pub struct Loss {
     pub recorded: u64,
     /// Messages that broke the contract.
     pub refused: u64,
-    /// Gaps in sequence numbers of frames (lost, or never sent), packets, plans and journals.
+    /// Missing sequence numbers of frames (lost, or never sent), packets, plans and journals.
     pub missing: u64,
     /// Number of times that the topic's buffer was full, so that messages may have been lost.
     pub buffer_full: u64,

@@ -51,7 +51,7 @@ fn record(path: &Path, chunks: u64, is_ended: bool) {
     }
 }
 
-/// What can be read, and how it ends.
+/// The readable messages, and the ending of the recording.
 fn read(path: &Path) -> Result<(Vec<ContractMessage>, Ending), RecordingError> {
     let mut reader = RecordingReader::open(path)?;
     let mut found = Vec::new();
@@ -102,14 +102,14 @@ fn a_recording_that_was_cut_off_anywhere_gives_all_that_came_before() {
                 assert!(found.len().is_multiple_of(10) && found.len() >= most, "{length} bytes");
                 most = found.len();
             }
-            // So little is left that nothing tells whose file it is.
+            // The rest is too short to identify the file.
             Err(error) => {
                 let said = error.to_string();
                 assert!(most == 0 && said.contains("Cure:"), "{length} bytes: {said}");
             }
         }
     }
-    // What is missing at last is only a part of the last chunk's index.
+    // The longest file lacks only a part of the last chunk's index.
     assert_eq!(most, 30);
 }
 

@@ -86,7 +86,7 @@ impl RelativePose {
     }
 
     /// The neighbour's pose as a transform; both names are those in ROS. The child's name contains
-    /// both drones', so that a drone in several sightings has one parent each.
+    /// both drones', because a frame has only one parent, and a drone may have several observers.
     ///
     /// # Errors
     /// [`Ros2Error::Pose`] and [`Ros2Error::Stamp`].

@@ -3,9 +3,8 @@
 use std::io;
 use std::thread::{Builder, JoinHandle};
 
-use rustix::process::{getpriority_process, setpriority_process};
-
 use flockeye_config::Scheduling;
+use rustix::process::{getpriority_process, setpriority_process};
 
 use crate::scheduling::{apply_to_this_thread, of_this_thread};
 
@@ -15,8 +14,8 @@ const NICER: i32 = 10;
 /// The largest nice value.
 const NICEST: i32 = 19;
 
-/// Starts a thread of lower priority: its nice value is raised, and it leaves the real-time class.
-/// If the system refuses either, the thread runs with its present priority.
+/// Starts a thread of lower priority: its nice value is raised, and it leaves the real-time class
+/// if the process is in it. If the system refuses either, the thread runs without that change.
 ///
 /// # Errors
 /// The system starts no thread.

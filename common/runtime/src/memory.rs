@@ -118,7 +118,7 @@ pub fn held_views_best(resolved: &Resolved) -> usize {
 fn limits(topic: &TopicInfo, resolved: &Resolved, largest_view_px: u32) -> Limits {
     let pipeline = &resolved.pipeline;
     let lanes = if topic.has_lanes() { pipeline.detection_workers() as usize } else { 1 };
-    // For each lane.
+    // Number of publishers of each lane.
     let publishers = usual_publishers(topic, pipeline);
     let usual = Limits {
         topic: topic.name,
@@ -190,8 +190,8 @@ fn sized(topic: TopicId, usual: Limits, resolved: &Resolved, largest_view_px: u3
         TopicId::Journals => {
             Limits { subscribers: 3, buffer: 128, items: MAX_JOURNAL_ENTRIES, ..usual }
         }
-        // A report with more entries is split into several messages.
         TopicId::Odometries => usual,
+        // A report with more sightings is split into several messages.
         TopicId::Peers => Limits { subscribers: 6, buffer: 32, items: MAX_PEER_SIGHTINGS, ..usual },
         TopicId::Swarms => Limits { subscribers: 5, buffer: 4, items: MAX_SWARM_POSES, ..usual },
         TopicId::Healths => Limits { subscribers: 8, ..usual },
@@ -214,9 +214,9 @@ fn usual_views(pipeline: &Pipeline) -> usize {
 /// load. Their memory is reserved, and touched only then. A worker receives some ten views of a
 /// frame. In a lossless run publishers wait for the recorder.
 fn late_views(topic: TopicId, pipeline: &Pipeline) -> usize {
-    /// Buffer for recording pixels: a single missing view ends a replay.
+    /// Additional views where pixels are recorded: a single missing view ends a replay.
     const OF_RECORDED_VIEWS: usize = 32;
-    /// Buffer for views without pixels, which cost only their headers.
+    /// Total number of waiting views where at most their headers are recorded.
     const OF_HEADERS: usize = 16;
     if topic != TopicId::Views || pipeline.flow() == Flow::Lossless {
         return 0;
@@ -295,7 +295,7 @@ impl Budget {
     /// Refuses a budget that exceeds free memory: running out later would end a process by SIGBUS.
     ///
     /// # Errors
-    /// Both numbers, and the cure.
+    /// Too little memory is free; the message has both numbers and the cure.
     pub fn check(&self, free_bytes: u64, total_bytes: u64) -> anyhow::Result<()> {
         let needed = self.bytes() as u64;
         let mb = |bytes: u64| bytes.div_ceil(1_000_000);

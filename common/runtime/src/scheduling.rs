@@ -26,7 +26,7 @@ pub fn name(policy: Scheduling) -> &'static str {
 /// The policy of this name on a command line.
 ///
 /// # Errors
-/// There is no such policy, and which there are.
+/// There is no such policy; the message lists all of them.
 pub fn from_name(text: &str) -> Result<Scheduling, String> {
     let found = ALL.into_iter().find(|policy| name(*policy) == text);
     found.ok_or_else(|| format!("'{text}' is none of {}", ALL.map(name).join(", ")))

@@ -153,6 +153,7 @@ pub(crate) fn triangle<const SIZE: usize, const CELLS: usize>(
     matrix: &SMatrix<f64, SIZE, SIZE>,
 ) -> [f64; CELLS] {
     let mut places = upper_triangle(SIZE);
+    // `CELLS` is the size of the triangle, so no place is missing.
     std::array::from_fn(|_| places.next().map_or(0.0, |place| matrix[place]))
 }
 

@@ -3,11 +3,10 @@
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex};
 
+use flockeye_runtime::clock::monotonic_ns;
 use flockeye_runtime::lock::lock;
 use gstreamer as gst;
 use gstreamer::prelude::*;
-
-use flockeye_runtime::clock::monotonic_ns;
 
 /// Calls `note` with the time stamp of each buffer that goes through a pad.
 pub(crate) fn on_each_buffer(

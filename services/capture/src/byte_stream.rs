@@ -19,7 +19,7 @@ pub(crate) struct ByteStream {
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Unit {
-    /// Access unit delimiter, at the begin of a picture.
+    /// Access unit delimiter, at the beginning of a picture.
     Delimiter,
     /// Top-level parameter set, to which the others refer.
     FirstSet,

@@ -19,7 +19,7 @@ pub(crate) enum Threading {
     Chosen(u32),
     /// Slice threads.
     Slices,
-    /// This many frame threads.
+    /// Frame threads, and their number.
     Frames(u32),
 }
 

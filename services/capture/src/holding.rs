@@ -9,13 +9,13 @@ use std::collections::VecDeque;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
+use flockeye_runtime::clock::monotonic_ns;
 use flockeye_runtime::lock::lock;
 use gstreamer as gst;
 use gstreamer::prelude::*;
 
 use crate::arrivals::{Arrivals, on_each_buffer};
 use crate::decoder;
-use flockeye_runtime::clock::monotonic_ns;
 
 /// Length of a window in pictures: one second at 30 pictures/s. The minimum of frames inside over a
 /// window is held back.
@@ -250,7 +250,7 @@ mod tests {
         let mut count = FrameCount::default();
         for frame in 0..200 {
             count.enter(pts(frame), None);
-            // One in five is broken: nothing comes out for it. The rest is given at once.
+            // Every fifth frame is damaged and gives no picture. The others give one at once.
             if frame % 5 != 0 {
                 count.leave(pts(frame), frame * STEP_NS);
             }

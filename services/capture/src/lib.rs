@@ -14,7 +14,9 @@
 //! println!("{}", source.describe());
 //! loop {
 //!     match source.next(Duration::from_millis(100))? {
-//!         Event::Frame(picture) => println!("{}: {} bytes", picture.sequence(), picture.luma().len()),
+//!         Event::Frame(picture) => {
+//!             println!("{}: {} bytes", picture.sequence(), picture.luma().len());
+//!         }
 //!         Event::Idle => {}
 //!         Event::Looped { .. } | Event::NewEpoch => println!("it begins anew"),
 //!         Event::Lost { reason, retry_in } => println!("{reason}; trying again in {retry_in:?}"),

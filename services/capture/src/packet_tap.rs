@@ -6,6 +6,7 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use flockeye_contract::VideoCodec;
+use flockeye_runtime::clock::monotonic_ns;
 use flockeye_runtime::lock::lock;
 use gstreamer as gst;
 use gstreamer::prelude::*;
@@ -13,7 +14,6 @@ use gstreamer::prelude::*;
 use crate::arrivals::Arrivals;
 use crate::byte_stream::ByteStream;
 use crate::decoder;
-use flockeye_runtime::clock::monotonic_ns;
 
 /// Limit for the size of waiting packets, bytes: beyond it the oldest are dropped.
 const MOST_BYTES: usize = 64_000_000;

@@ -3,6 +3,7 @@
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
+use flockeye_runtime::clock::monotonic_ns;
 use flockeye_runtime::lock::lock;
 use gstreamer as gst;
 use gstreamer::prelude::*;
@@ -19,7 +20,6 @@ use crate::mailbox::Mailbox;
 use crate::packet_tap::PacketTap;
 use crate::picture::LUMA_FIRST;
 use crate::{CaptureError, decoder};
-use flockeye_runtime::clock::monotonic_ns;
 
 /// A decoded frame with its times.
 #[derive(Debug)]
@@ -280,8 +280,8 @@ mod tests {
     use flockeye_config::Flow;
     use std::time::Instant;
 
-    /// How many decoded frames wait before a sink that takes each when it is due, once `expected`
-    /// do; `None` if there is no place for them.
+    /// Largest number of decoded frames that wait before a sink with due times. The measurement
+    /// ends at `expected`. `None` without a queue.
     fn waiting(frames_per_second: u32, ahead: u32, expected: u32) -> Option<u32> {
         gst::init().unwrap();
         let frames = Arc::new(Frames::new(1, Flow::Latest));

@@ -4,6 +4,7 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use flockeye_config::Flow;
+use flockeye_runtime::clock::monotonic_ns;
 use gstreamer as gst;
 use gstreamer::prelude::*;
 use gstreamer_app as gst_app;
@@ -19,7 +20,6 @@ use crate::parameters::SourceParameters;
 use crate::picture::{PictureStamp, SourcePicture, range_of};
 use crate::pipeline::{DecodedFrame, Frames, build};
 use crate::{CaptureError, decoder};
-use flockeye_runtime::clock::monotonic_ns;
 
 /// Event of a pipeline.
 #[derive(Debug)]
@@ -85,9 +85,9 @@ const AHEAD: u32 = 4;
 /// Timeout for the first frame of a recording.
 const OPENING: Duration = Duration::from_secs(10);
 
-/// Range of a plausible time stamp of a camera's driver: from arrival minus this, nanoseconds,
+/// Maximum time from a plausible time stamp of a camera's driver to the arrival, nanoseconds.
 const OLDEST_STAMP_NS: i64 = 1_000_000_000;
-/// to arrival plus this, nanoseconds.
+/// Maximum time from the arrival to a plausible time stamp of a camera's driver, nanoseconds.
 const NEWEST_STAMP_NS: i64 = 5_000_000;
 
 impl Playback {

@@ -87,16 +87,16 @@ impl FrameSource {
                         Some(reason) => EndReason::Truncated { decoded, reason },
                         None => EndReason::Complete { frames: decoded, skipped: 0 },
                     };
-                    self.or_over(Event::End(reason))?
+                    self.loop_or_end(Event::End(reason))?
                 }
             }),
             SourceState::Folder(folder) => {
                 let event = folder.next(timeout);
-                self.or_over(event)
+                self.loop_or_end(event)
             }
             SourceState::Flight(flight) => {
                 let event = flight.next(timeout)?;
-                self.or_over(event)
+                self.loop_or_end(event)
             }
             SourceState::Camera(input, playback) => Ok(match playback.next(timeout)? {
                 PlaybackEvent::Picture(picture) => {
@@ -150,7 +150,7 @@ impl FrameSource {
 
     /// Returns the event. At the end of a recording with frames, starts it again if looping is
     /// configured.
-    fn or_over(&mut self, event: Event) -> Result<Event, CaptureError> {
+    fn loop_or_end(&mut self, event: Event) -> Result<Event, CaptureError> {
         let Event::End(reason) = event else { return Ok(event) };
         let (EndReason::Complete { frames, .. } | EndReason::Truncated { decoded: frames, .. }) =
             reason;

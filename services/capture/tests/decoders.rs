@@ -68,7 +68,7 @@ fn number_before(text: &str, words: &str) -> f64 {
 #[test]
 fn a_camera_that_does_not_say_that_it_is_live_is_decoded_without_delay() {
     watched(|| {
-        // As the Theta's driver: each frame when it is due, and no word of being live.
+        // Like the Theta's driver: each frame at its due time, without a live announcement.
         let theta = format!(
             "videotestsrc name=thetauvcsrc pattern=ball ! {CAPS} ! openh264enc ! h264parse ! clocksync"
         );

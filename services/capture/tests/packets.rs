@@ -5,14 +5,13 @@ mod common;
 
 use std::collections::BTreeSet;
 use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use common::{Scratch, open, parameters, video, watched};
-use flockeye_config::Flow;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
-
 use flockeye_capture::{Event, Packet, SourceParameters};
+use flockeye_config::Flow;
 use flockeye_contract::VideoCodec;
 
 /// Plays a clip: its packets, the stream times of its frames, and how it is coded.

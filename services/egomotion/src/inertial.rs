@@ -18,9 +18,9 @@ const GATE: f64 = 16.27;
 
 /// Number of comparisons among which [`OUTSIDE`] are counted.
 const WINDOW: u32 = 15;
-/// Number of comparisons outside the gate that disables the sensor. With one in fifty outside,
-/// twenty times the share of a right sensor, that happens every three hours at 30 frames/s: p (14
-/// over 4) p^4 (1 - p)^10 a frame.
+/// Number of comparisons outside the gate that disables the sensor. One in fifty outside is twenty
+/// times the share of a right sensor. With that, it happens every three hours at 30 frames/s:
+/// p (14 over 4) p^4 (1 - p)^10 a frame.
 const OUTSIDE: u32 = 5;
 
 /// Number of consecutive comparisons inside the gate that enables a sensor. After it was disabled,

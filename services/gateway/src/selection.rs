@@ -6,7 +6,7 @@ use flockeye_contract::FrameStamp;
 
 /// Maximum decisions that are kept: more tracks of those frames may arrive.
 const REMEMBERED: usize = 16;
-/// Divisor of the period that gives how early a frame may be: exposures are not evenly spaced.
+/// Ratio of the period to the time by which a frame may be early: exposures are not evenly spaced.
 const EARLY: i64 = 4;
 
 /// Decides once for each frame, so that it is reported completely or not at all.

@@ -58,7 +58,7 @@ pub enum News {
     },
 }
 
-/// The thread that reads. A drop stops it.
+/// The thread that reads. It stops when this is dropped.
 #[derive(Debug)]
 pub struct SampleReceiver {
     news: Receiver<News>,

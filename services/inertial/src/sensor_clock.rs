@@ -24,8 +24,9 @@ pub(crate) struct SensorClock {
 }
 
 impl SensorClock {
-    /// Maps a sensor time that arrived at `arrived_ns` to this machine's clock (both
-    /// CLOCK_MONOTONIC). Also returns whether the sensor's clock has started anew.
+    /// Maps a sensor time that arrived at `arrived_ns` (CLOCK_MONOTONIC) to that clock. Also
+    /// returns whether the sensor's clock has started anew. `known` is `None` before the first
+    /// sample.
     pub(crate) fn map(known: &mut Option<Self>, sensor_ns: i64, arrived_ns: i64) -> (i64, bool) {
         let difference_ns = arrived_ns - sensor_ns;
         let before = known.take().filter(|clock| {
@@ -90,12 +91,15 @@ mod tests {
     #[test]
     fn a_restart_and_a_leap_begin_anew() {
         let mut clock = None;
-        assert!(SensorClock::map(&mut clock, 50_000 * MS, 1000 * MS).1);
-        assert!(!SensorClock::map(&mut clock, 50_005 * MS, 1005 * MS).1);
+        let mut begins_anew = |sensor_ms: i64, arrived_ms: i64| {
+            SensorClock::map(&mut clock, sensor_ms * MS, arrived_ms * MS).1
+        };
+        assert!(begins_anew(50_000, 1000));
+        assert!(!begins_anew(50_005, 1005));
         // A message that overtook another is no restart.
-        assert!(!SensorClock::map(&mut clock, 50_001 * MS, 1006 * MS).1);
+        assert!(!begins_anew(50_001, 1006));
         assert_eq!(SensorClock::map(&mut clock, 100 * MS, 9000 * MS), (9000 * MS, true));
-        // It got the date from a satellite.
+        // The autopilot got the date from a satellite.
         assert!(SensorClock::map(&mut clock, 1_700_000_000_000 * MS, 9005 * MS).1);
     }
 }

@@ -10,7 +10,7 @@ pub(crate) struct ProcessStat {
 }
 
 impl ProcessStat {
-    /// Reads the processor time of a process that runs.
+    /// Reads the state of a process. `None` if it has ended.
     pub(crate) fn of(pid: u32) -> Option<Self> {
         Self::parse(&std::fs::read_to_string(format!("/proc/{pid}/stat")).ok()?)
     }
@@ -30,7 +30,7 @@ impl ProcessStat {
 /// Hang detector of one process.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Heartbeat {
-    /// Time of the newest report, and the processor time used until then.
+    /// Time of the newest report, and the processor time used until it was noticed.
     last: Option<(i64, i64)>,
 }
 

@@ -11,7 +11,7 @@ use flockeye_identity::{Authority, Issued, MemberFiles, Role};
 use flockeye_network::router_config;
 use flockeye_runtime::clock::utc_s;
 
-/// How long a certificate holds where nothing else is asked for.
+/// Default validity of a certificate.
 const HOLDS: &str = "30days";
 /// Seconds of a day.
 const DAY_S: f64 = 86_400.0;

@@ -96,7 +96,7 @@ pub struct Process {
     pub(crate) heartbeat: Heartbeat,
     /// Whether it exceeded its start time.
     pub(crate) is_late: bool,
-    /// Whether a complaint states that it answers nothing.
+    /// Whether a complaint about it was shown.
     pub(crate) is_silent: bool,
     /// The highest generation that any process of this worker has had.
     used_generations: u32,

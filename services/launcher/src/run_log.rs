@@ -259,7 +259,7 @@ impl RunLog {
         self.dashboard.frames_ended >= self.most_frames
     }
 
-    /// Whether a worker has reported that it is ready.
+    /// Whether a worker has reported last that it is ready or degraded.
     pub(crate) fn is_ready(&self, worker: WorkerName) -> bool {
         let state = self.dashboard.state_of(worker.stage.name(), worker.replica);
         matches!(state, Some(StageState::Ready | StageState::Degraded))

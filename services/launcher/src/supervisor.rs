@@ -188,7 +188,7 @@ impl<'a> Supervisor<'a> {
     }
 
     /// Whether every stage is ready and the recorder misses nothing. A degraded stage counts: it
-    /// waits for an external device, such as a network port.
+    /// waits for something external, such as a camera or a network port.
     fn all_are_ready(&self) -> bool {
         let mut workers = self.workers.processes.iter().map(|process| process.worker);
         workers.all(|worker| worker.stage.is_source() || self.messages.is_ready(worker))

@@ -4,13 +4,14 @@ use std::f64::consts::TAU;
 use std::num::NonZero;
 use std::sync::Mutex;
 
+use flockeye_runtime::lock::lock;
+
 use crate::hall::Hall;
 use crate::kept_painting;
 use crate::optics::{blur_kernel, blur_row, blur_rows};
 use crate::parameters::WorldParameters;
 use crate::sensor::ImageSensor;
 use crate::sphere::SphereGrid;
-use flockeye_runtime::lock::lock;
 
 /// Maximum of the blur along a row, columns: it grows towards the poles.
 const WIDEST_SIGMA: f64 = 12.0;

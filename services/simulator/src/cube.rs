@@ -144,7 +144,7 @@ impl CubeBackdrop {
         }
     }
 
-    /// Positions of a row's block corners on the cube, at the begin and the end of the exposure.
+    /// Positions of a row's block corners on the cube, at the start and the end of the exposure.
     fn nodes(&self, grid: &SphereGrid, camera: &Attitude, row: usize) -> Vec<[CubePlace; 2]> {
         let begin_end = self.begin_end(camera, row as f64 / grid.height as f64);
         let [begin, end] = begin_end.map(|turn| turn.to_rotation_matrix().into_inner());
@@ -172,7 +172,7 @@ impl CubeBackdrop {
         self.encoded[usize::from(light)]
     }
 
-    /// Orientation of the camera at the begin and the end of a row's exposure.
+    /// Orientation of the camera at the start and the end of a row's exposure.
     fn begin_end(&self, camera: &Attitude, height: f64) -> [UnitQuaternion<f64>; 2] {
         let middle_s = (height - 0.5) * self.readout_s;
         [-0.5, 0.5].map(|share| camera.after(middle_s + share * self.exposure_s).world_from_camera)
@@ -201,7 +201,7 @@ impl CubeBackdrop {
     }
 
     /// Mean light along the paths of a block's row on one face. `corners`: top left, top right,
-    /// bottom left, bottom right, each at begin and end of the exposure.
+    /// bottom left, bottom right, each at start and end of the exposure.
     #[inline]
     fn along(
         &self,

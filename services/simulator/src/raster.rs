@@ -26,8 +26,8 @@ impl Accumulator {
     }
 
     /// Adds the area of a simple polygon: `light` and `cover` per fully covered sample. Its points
-    /// are in [0, width - 2] x [0, height]; sample (i, j) is the square from (i, j) to (i + 1, j +
-    /// 1). The order of the corners does not matter.
+    /// are in [0, width - 2] x [0, height]. Sample (i, j) is the square from (i, j) to
+    /// (i + 1, j + 1). The order of the corners does not matter.
     pub(crate) fn add_polygon(&mut self, corners: &[Point2<f64>], light: f64, cover: f64) {
         let pairs = || corners.iter().zip(corners.iter().cycle().skip(1));
         let doubled_area: f64 = pairs().map(|(a, b)| a.x * b.y - b.x * a.y).sum();

@@ -98,7 +98,7 @@ impl SimulatorStage {
         let now_ns = clock::monotonic_ns();
         self.counters.add_latency_ns(now_ns - begun_ns);
         let messages = self.core.messages(&truth, None, now_ns);
-        send(&self.frames, loan, &messages, &self.truths, self.imus.as_ref())?;
+        self.send(loan, &messages)?;
         self.credits.note_sent(messages.frame.stamp);
         Ok(())
     }
@@ -111,7 +111,7 @@ impl SimulatorStage {
         std::thread::sleep(clock::until(times.handover_ns, clock::monotonic_ns()));
         let exposure_ns = Some(times.exposure_ns);
         let messages = self.core.messages(&drawn.truth, exposure_ns, clock::monotonic_ns());
-        send(&self.frames, loan, &messages, &self.truths, self.imus.as_ref())?;
+        self.send(loan, &messages)?;
         self.reuse(drawn);
         Ok(())
     }
@@ -124,22 +124,17 @@ impl SimulatorStage {
             ahead.reuse(drawn.luma);
         }
     }
-}
 
-/// Sends a frame's messages, the picture last: subscribers have its truth and samples before it.
-fn send(
-    frames: &Publisher<Frames>,
-    loan: Loan<Frames>,
-    messages: &PictureMessages,
-    truths: &Publisher<Truths>,
-    imus: Option<&Publisher<Imus>>,
-) -> anyhow::Result<()> {
-    if let (Some(imus), Some((header, samples))) = (imus, &messages.inertial) {
-        for samples in samples.chunks(MAX_IMU_SAMPLES) {
-            imus.send(*header, samples)?;
+    /// Sends a frame's messages, the picture last: subscribers have its truth and samples before
+    /// it.
+    fn send(&self, loan: Loan<Frames>, messages: &PictureMessages) -> anyhow::Result<()> {
+        if let (Some(imus), Some((header, samples))) = (&self.imus, &messages.inertial) {
+            for samples in samples.chunks(MAX_IMU_SAMPLES) {
+                imus.send(*header, samples)?;
+            }
         }
+        let (header, bodies) = &messages.truth;
+        self.truths.send(*header, bodies)?;
+        Ok(self.frames.send_loan(loan, messages.frame)?)
     }
-    let (header, bodies) = &messages.truth;
-    truths.send(*header, bodies)?;
-    Ok(frames.send_loan(loan, messages.frame)?)
 }

@@ -75,7 +75,7 @@ impl World {
         Self::with_drones(parameters, drones, &markers)
     }
 
-    /// A world without bodies, for tests in which nothing may be detected.
+    /// A world without bodies, in which nothing may be detected.
     pub fn empty(parameters: WorldParameters) -> Result<Self, WorldError> {
         Self::with_drones(parameters, Vec::new(), &[])
     }

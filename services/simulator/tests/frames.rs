@@ -1,4 +1,4 @@
-//! What frames and their truth have to be, seen from outside.
+//! Tests of frames and their truth through the public interface.
 
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 
@@ -153,8 +153,8 @@ fn visibility_is_counted_as_it_is() {
             .map(|b| (b.markers_visible_50, b.markers_visible_90))
             .collect::<Vec<_>>()
     };
-    // From afar along a belt facet: that one, two beside it, one above and one below it; the belt's
-    // facets at 90 degrees and the upper and lower ones aside show their edge or back.
+    // From afar along a belt facet: that one, two beside it, one above and one below it. All other
+    // facets show their edge or back.
     assert_eq!(count(&mut bare, &[at(1.0, 0.0, 0.0)]), [(5, 5)]);
     // From below, where the bottom has no marker: the lower ring.
     assert_eq!(count(&mut bare, &[at(0.0, 0.0, 1.0)]), [(4, 4)]);

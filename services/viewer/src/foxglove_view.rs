@@ -49,11 +49,11 @@ pub(crate) struct FoxgloveView {
     resolved: Resolved,
     transforms: Channel<FrameTransforms>,
     scene: Channel<SceneUpdate>,
-    /// By the bodies' numbers.
+    /// Poses, by the bodies' numbers.
     poses: Vec<Channel<PoseInFrame>>,
     sphere: Channel<CompressedImage>,
     annotations: Channel<ImageAnnotations>,
-    /// By the bodies' numbers.
+    /// Close-ups, by the bodies' numbers.
     closeups: Vec<Channel<CompressedImage>>,
     frames: Arc<RawChannel>,
     stages: Arc<RawChannel>,

@@ -37,8 +37,10 @@ struct State {
     overview: Option<Message>,
 }
 
+/// Requests of pages and clients.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(crate) struct Demand {
+    /// Whether a page is open, or a client has subscribed to any channel.
     pub anything: bool,
     pub pictures: bool,
     pub closeups: bool,
@@ -133,6 +135,7 @@ impl Pages {
         self.put(message.kind(), &wire::text(message));
     }
 
+    /// The union of all pages' demands.
     pub(crate) fn wanted(&self) -> Demand {
         let state = lock(&self.state);
         // A page shows pictures and close-ups, or neither.

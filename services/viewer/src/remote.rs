@@ -82,8 +82,8 @@ impl Remote {
         lock(&self.state).is_closed
     }
 
-    /// The next request, and the number of requests done with it. Waits at most `at_most`. None
-    /// where the page is closed.
+    /// The next request, and the number of requests done with it. Waits at most `at_most`; none
+    /// without a request, and where the page is closed ([`is_closed`](Self::is_closed)).
     pub(crate) fn next(&self, at_most: Duration) -> Option<(Move, u64)> {
         let mut state = lock(&self.state);
         if state.wishes.is_empty() && !state.is_closed && !at_most.is_zero() {

@@ -281,7 +281,7 @@ pub(crate) struct DroneSummary {
     pub covariance: [f32; 6],
     /// `direct`, `mutual`, `reported` or `chained`.
     pub way: &'static str,
-    /// The drone whose sighting leads to it, if it is `chained`.
+    /// The drone before it on the chain of sightings, if it is `chained`.
     pub through: String,
     /// Age of the newest exposure behind the pose, seconds.
     pub age_s: f32,

@@ -154,7 +154,7 @@ fn add_face(faces: &mut Vec<Face>, corners: &[Point3<f64>], normal: Vector3<f64>
 /// The corners of the convex polygon round points of one plane, counter-clockwise round `normal`
 /// (Andrew's monotone chain, 1979). Points on its edges are left out.
 fn outline(points: &[Point3<f64>], normal: &Vector3<f64>) -> Vec<Point3<f64>> {
-    // The axis with the largest component of the normal.
+    // The axis with the smallest component of the normal.
     let axis = Vector3::ith(normal.iamin(), 1.0);
     let across = normal.cross(&axis).normalize();
     let along = normal.cross(&across);

@@ -11,8 +11,8 @@ pub fn chi_square_quantile(degrees: f64, probability: f64) -> f64 {
         return 0.0;
     }
     let wanted = probability.min(1.0 - 1e-12);
-    // Start value from the mean, `degrees`, and the variance, twice that. Small degrees have long
-    // tails.
+    // The upper limit follows from the mean, `degrees`, and the variance, twice that. Small degrees
+    // have long tails.
     let (mut low, mut high) = (0.0, degrees + 12.0 * (2.0 * degrees).sqrt() + 80.0);
     for _ in 0..90 {
         let middle = (low + high) / 2.0;

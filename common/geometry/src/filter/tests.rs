@@ -130,7 +130,7 @@ fn estimates_are_as_good_as_they_say() {
     const FRAMES: usize = 40;
     let (mut chance, motion) = (Chance::new(2), MotionModel::default());
     let step: f64 = 1.0 / 30.0;
-    // Of all twelve, of the position, of the rotation; summed over the runs.
+    // Squared errors of all twelve, of the position, of the rotation; summed over the runs.
     let mut sums = [[0.0; 3]; FRAMES];
     let (mut innovations, mut gated) = (0.0, 0);
     for _ in 0..RUNS {

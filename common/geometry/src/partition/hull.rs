@@ -6,8 +6,8 @@
 
 use nalgebra::Vector3;
 
-/// Least height of a point above a facet's plane. Rounding is below 1e-15, and a hull that differs
-/// by so little has the same circumradii.
+/// Height over which a point counts as above a facet's plane. Rounding is below 1e-15, and a hull
+/// that differs by so little has the same circumradii.
 const ABOVE: f64 = 1e-13;
 
 /// A triangle of the hull; where four directions lie on one circle it is half of their facet.

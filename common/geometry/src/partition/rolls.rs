@@ -28,9 +28,9 @@ pub(super) fn degrees(
     seed: u64,
     takes_long: bool,
 ) -> Vec<f64> {
-    // Random starts in a round, and the number of times that the best is improved on its worst
-    // points. The short search is acceptable at the start of the pipeline; its squares are about
-    // one degree larger.
+    // The search has rounds with random starts. Then each round's best is improved this many times
+    // on its worst points. The long search is for the stored partitions. The short one is
+    // acceptable at the start of the pipeline; its squares are about one degree larger.
     let (rounds, starts, exchanges) = if takes_long { (8, 8, 24) } else { (1, 4, 8) };
     let mut samples = samples(points, facets);
     let enough = HALF_MARGIN_RAD + covering_cosine(facets).acos();

@@ -21,7 +21,7 @@ pub(super) struct Square {
 }
 
 impl Square {
-    /// Rotates the square with these axes about the third by an angle of this cosine and sine.
+    /// The square with these axes, rotated about the third by an angle of this cosine and sine.
     pub(super) fn new([right, down, forward]: [Vector3<f64>; 3], (cos, sin): (f64, f64)) -> Self {
         Self { right: right * cos + down * sin, down: down * cos - right * sin, forward }
     }
@@ -48,7 +48,8 @@ impl Square {
 
     /// Whether the view may serve points in a cap: false if every disc around them needs more than
     /// `limit`. `sin_inner` is the sine of the disc's half-angle less the cap's. It belongs to the
-    /// disc that the discs of all points have in common.
+    /// disc that the discs of all points have in common. A negative value states their common
+    /// nearness instead.
     fn is_useful(&self, middle: &Vector3<f64>, cap_sin: f64, sin_inner: f64, limit: f64) -> bool {
         // Near the view's horizon and near its axis the formula is not valid.
         let z = self.forward.dot(middle);

@@ -17,9 +17,9 @@ const DISTINCT: f64 = 0.02;
 /// or two where the rays leave a mirror image open.
 ///
 /// Rays of markers that the body does not have, rays that are not finite, and corners seen twice
-/// are left out here. Of a marker seen at two places, the place that fits the other markers counts.
-/// Where three or more markers are seen, up to 30 % of them may be misread, or 30 % of all corners
-/// be wrong. The same rays always give the same solutions.
+/// are left out here. For a marker seen at two places, the place that fits the other markers
+/// counts. With three or more markers, up to 30 % of them may be misread, or 30 % of all corners be
+/// wrong. The same rays always give the same solutions.
 ///
 /// # Errors
 /// Too few rays, no whole marker, or nothing that fits: [`PoseError`].
@@ -34,7 +34,7 @@ pub fn solve(body: &Body, rays: &[CornerRay]) -> Result<Vec<PoseSolution>, PoseE
     }
     let mut solutions: Vec<PoseSolution> = Vec::new();
     refine_best(&mut solutions, &markers, whole_marker_poses);
-    // Remaining rays contain some errors, possibly in each whole marker.
+    // If rays are left over, some rays are wrong, possibly one in each whole marker.
     if cheapest(&solutions).is_none_or(|best| best.inlier_corners < usable) {
         refine_best(&mut solutions, &markers, three_corner_poses);
     }
@@ -44,7 +44,7 @@ pub fn solve(body: &Body, rays: &[CornerRay]) -> Result<Vec<PoseSolution>, PoseE
         keep_if_distinct(&mut solutions, refine_sighted(&markers, &mirrored));
     }
     solutions.sort_by(|a, b| a.cost.total_cmp(&b.cost));
-    // Half of the best solution's rays do not support a hypothesis that a misread marker started.
+    // A solution with less than half of the best one's rays started from a misread marker.
     let needed = solutions.first().map_or(0, |best| best.inlier_corners.div_ceil(2));
     solutions.retain(|solution| solution.inlier_corners >= needed);
     if solutions.is_empty() {
@@ -141,10 +141,10 @@ fn mirror(markers: &[SightedMarker<'_>], solution: &PoseSolution) -> Option<Isom
     mirror_image(&solution.camera_from_markers, &Point3::from(middle), &flattest)
 }
 
-/// The other pose in which a flat body looks the same from afar: `R' = M_v R M_n`, with M the
-/// reflections at the planes across the line of sight v to its `middle` and across its unit
-/// `normal` n, both in the markers' frame (the ambiguity of weak perspective). The direction of the
-/// middle stays. `None` where the middle is at the camera.
+/// The other pose in which a flat body looks the same from afar (the ambiguity of weak
+/// perspective): `R' = M_v R M_n`. M_v is the reflection at the plane across the line of sight v to
+/// its `middle`, M_n that at the plane across its unit `normal` n. Both arguments are in the
+/// markers' frame. The direction of the middle stays. `None` where the middle is at the camera.
 pub fn mirror_image(
     camera_from_markers: &Isometry3<f64>,
     middle: &Point3<f64>,

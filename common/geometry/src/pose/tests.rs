@@ -312,7 +312,7 @@ fn a_third_of_wrong_corners_is_put_aside() {
     assert!(mean < 9.0, "{mean}");
 }
 
-/// Of two solutions the one meant, wherever the costs tell them apart.
+/// The right one of two solutions is chosen wherever their costs differ clearly.
 #[test]
 fn a_clear_choice_is_the_right_one() {
     let (mut chance, body) = (Chance::new(25), body());

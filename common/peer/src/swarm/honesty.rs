@@ -11,8 +11,8 @@ use flockeye_geometry::filter::chi_square_quantile;
 
 use super::graph::{PairPose, solve};
 
-/// Probability of a false alarm of one check. With eight observers and ten checks per second this
-/// is one false alarm in 200 minutes.
+/// Probability of a false alarm for one observer in one check. With eight observers and ten checks
+/// per second this is one false alarm in 200 minutes.
 const CHANCE: f64 = 1e-6;
 
 /// The observers whose sightings contradict the others'. `edges` are sightings, each `from` its

@@ -182,7 +182,7 @@ impl SwarmView {
             direction.reported = Some(seen.clone());
             return;
         };
-        // An uncertain time makes the position uncertain along the motion.
+        // An uncertain time makes the pose uncertain along the motion.
         let shift = course(seen) * deviation_s;
         let covariance = measured.covariance + shift * shift.transpose();
         let pose = UncertainPose { covariance, ..measured };

@@ -5,7 +5,6 @@ use std::mem::MaybeUninit;
 use std::sync::Mutex;
 use std::time::Duration;
 
-use crate::lock::lock;
 use flockeye_contract::Topic;
 use iceoryx2::port::notifier::Notifier;
 use iceoryx2::port::publisher::Publisher as IoxPublisher;
@@ -17,6 +16,7 @@ use iceoryx2::sample_mut_uninit::SampleMutUninit;
 use super::error::PortError;
 use super::services::{DataService, Service, WakeService};
 use crate::health::SharedCounters;
+use crate::lock::lock;
 use crate::memory::Limits;
 
 /// Handler of a subscriber's full buffer: the publisher waits for `patience`. It never again waits
@@ -107,7 +107,7 @@ impl<T: Topic> Publisher<T> {
         Ok(Loan { sample })
     }
 
-    /// Publishes a loan under `header` and wakes the subscribers.
+    /// Publishes a loan of this publisher under `header` and wakes the subscribers.
     ///
     /// # Errors
     /// [`PortError`] with iceoryx2's reason.

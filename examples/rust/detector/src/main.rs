@@ -22,7 +22,7 @@ struct MyDetector {
     core: Core,
 }
 
-/// What was found in a view: its markers, and how many of them a configured body has.
+/// The markers of a view, and the number of those that a configured body has.
 struct Found {
     markers: Vec<DetectedMarker>,
     hits: u32,

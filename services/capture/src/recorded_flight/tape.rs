@@ -78,7 +78,7 @@ pub(crate) struct CodedPicture {
     pub(crate) codec: VideoCodec,
     /// Time in its epoch, nanoseconds: exposure of a JPEG, or stream time of a packet.
     pub(crate) time_ns: i64,
-    /// Header of the frame. `None`: the frame was not published.
+    /// Header of the frame. `None`: the frame was not published, or the packet waits in the tape.
     pub(crate) header: Option<FrameHeader>,
     pub(crate) bytes: Vec<u8>,
 }
@@ -206,7 +206,7 @@ impl FlightTape {
         }
     }
 
-    /// Whether all data of an item is found.
+    /// Whether an item waits no longer: all its data is found, or the limit of the wait is reached.
     fn is_complete(&self, (utc_ns, item): &(u64, TapeItem)) -> bool {
         let is_old = self.newest_utc_ns >= utc_ns.saturating_add(BEHIND_NS);
         let has_samples = |header: &FrameHeader| {

@@ -46,7 +46,7 @@ pub(crate) fn examine(pipeline: &Pipeline) -> Vec<Finding> {
     findings
 }
 
-/// Of a foreign program only the existence is examined.
+/// Existence of a foreign program; nothing else of it is examined.
 fn foreign(stage: StageName, program: &str) -> Finding {
     let name = stage.name();
     match program::find(program) {

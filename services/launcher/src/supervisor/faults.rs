@@ -24,7 +24,7 @@ const DEVICE_PATIENCE: f64 = 15.0;
 /// Earlier ones may concern its predecessor.
 const YOUTH: Duration = Duration::from_millis(500);
 
-/// Functions that work without a stage.
+/// Functions that still work without a stage, in words.
 fn what_is_left(stage: StageName) -> &'static str {
     match stage {
         StageName::Capture | StageName::Simulator => "nothing: no frame comes any more",

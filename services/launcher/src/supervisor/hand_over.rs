@@ -37,7 +37,7 @@ impl HandOverNotice {
         self.publisher.update_connections()
     }
 
-    /// Publishes the hand-over to all processes.
+    /// Applies the hand-over to the ports of this process, and publishes it to all others.
     pub(super) fn announce(&mut self, ports: &Ports, hand_over: HandOver) -> anyhow::Result<()> {
         let step = match HandOverState::try_from(hand_over.state)? {
             HandOverState::TakenOver if hand_over.new_generation < hand_over.old_generation => {

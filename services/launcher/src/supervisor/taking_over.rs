@@ -11,7 +11,7 @@ use super::Supervisor;
 use super::hand_over::{self, counting_generation, has_taken_over};
 
 impl Supervisor<'_> {
-    /// Takes over these processes. Of two processes of a worker, the one that counts by the last
+    /// Takes over these processes. Where a worker has two, the one that counts by the last
     /// hand-over stays, and the other is ended.
     pub(crate) fn adopt(&mut self, kept: &[KeptProcess]) -> anyhow::Result<()> {
         if kept.is_empty() {

@@ -49,7 +49,7 @@ impl UnfinishedSwap {
             && counting_generation(hand_over, self.worker) > Some(self.old_generation)
     }
 
-    /// Restores the old program of a stage that owns its device, for the next start.
+    /// Ends the new process of a stage that owns a device. The next start runs the old program.
     fn put_back_program(&self, folder: &Path) -> anyhow::Result<()> {
         let is_new = |kept: &KeptProcess| {
             kept.stage == self.worker.stage.name()

@@ -14,8 +14,8 @@ use crate::control::WorkerName;
 /// Number of frames after the newest one at which a new process takes over: all processes have the
 /// message by then.
 const FRAMES_AHEAD: u64 = 4;
-/// Timeout of the probation. The new process has failed if it answered none of its first frames, or
-/// still misses too many.
+/// Duration of the probation. At its end the new process has failed if too few frames could be
+/// compared, or if it still misses too many.
 const PROBATION_TIME: Duration = Duration::from_secs(3);
 /// Time after taking back a hand-over until the new process is ended.
 const TAKING_BACK_TIME: Duration = Duration::from_millis(500);
@@ -40,7 +40,7 @@ pub(crate) struct Judge {
 enum SwapPhase {
     /// The new process answers, and no stage uses its answers.
     Shadow,
-    /// It counts from `first` on.
+    /// The new process counts from `first` on.
     Probation { first: FrameOrder, until: Instant },
     /// The old process counts again, because of `reason`.
     TakingBack { until: Instant, reason: String },
@@ -48,8 +48,8 @@ enum SwapPhase {
 
 impl Judge {
     /// Judges a swap of `worker` that begins at `now`, from the first generation to the second.
-    /// Within this time the new process must do as well as the old one. If `accept_worse`, it must
-    /// only answer.
+    /// The new process must do as well as the old one `within` this time. If `accept_worse`, it
+    /// must only answer.
     pub(crate) fn new(
         worker: WorkerName,
         [old_generation, new_generation]: [u32; 2],

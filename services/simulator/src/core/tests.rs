@@ -1,4 +1,4 @@
-//! What the core does with time and drawn frames, without any process.
+//! Tests of the core with times and drawn frames, without a process.
 
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 

@@ -32,7 +32,8 @@ impl SpherePicture {
     }
 }
 
-/// How far, in pixels, the edge between corners `k` and `k + 1` appears outside of where it is.
+/// Distance by which the edge between corners `k` and `k + 1` appears outside of its true place,
+/// pixels.
 fn edge_error(picture: &SpherePicture, pose: &Isometry3<f64>, marker: &Marker, k: usize) -> f64 {
     let (from, to) = (marker.corners[k], marker.corners[(k + 1) % 4]);
     let outwards = marker.normal().cross(&(to - from)).normalize();

@@ -1,5 +1,5 @@
-//! What cameras other than the plain sphere see: printed edges land where the projections in
-//! `sheet` put them, and what no lens has is not counted.
+//! Pictures of all cameras. Printed edges land where the projections in `sheet` put them, or those
+//! in `edges` for the plain sphere. Markers that no lens sees are not counted.
 
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 
@@ -84,8 +84,8 @@ impl Picture<'_> {
             + (get(column, row + 1) * (1.0 - s) + get(column + 1, row + 1) * s) * t
     }
 
-    /// How far, in pixels, the edge between corners `k` and `k + 1` appears outside of where eye
-    /// `eye` must see it; `None` where the eye does not have all of it.
+    /// Distance by which the edge between corners `k` and `k + 1` appears outside of its true place
+    /// for eye `eye`, pixels. `None` if the eye does not see all of it.
     fn edge_error(
         &self,
         eye: usize,
@@ -169,7 +169,7 @@ const DIRECTIONS: [[f64; 2]; 11] = [
 
 fn assert_exact(sheet: Sheet, velocity_in_camera: Vector3<f64>) {
     let mut world = sheet.world(1);
-    // Of each eye: edges anywhere, and of bodies within 10 degrees of the lenses' border.
+    // Counts per eye: edges anywhere, and edges of bodies within 10 degrees of the lenses' border.
     let mut measured = vec![[0; 2]; sheet.eyes().len()];
     for (index, direction) in DIRECTIONS.into_iter().enumerate() {
         let camera_from_markers = placed(direction, [0.3, -0.2, 0.7 * index as f64]);
@@ -300,7 +300,7 @@ fn visibility_is_counted_as_each_camera_sees() {
         Sheet { kind: Kind::Fisheyes(lenses), ..sheet }
     };
     for sheet in [equidistant(), kannala_brandt(), double_sphere(), plane(), stitched()] {
-        // As the plain sphere counts: see `frames.rs`.
+        // The same counts as for the plain sphere, in `frames.rs`.
         assert_eq!(counted(&sheet, &[at(1.0, 0.0, 0.0)]), [[5, 5]]);
         // One body right behind another is hidden, and the nearer one is not.
         assert_eq!(counted(&sheet, &[at(1.8, 0.0, 0.0), at(0.6, 0.0, 0.0)]), [[0, 0], [5, 5]]);

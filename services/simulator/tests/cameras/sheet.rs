@@ -74,7 +74,7 @@ impl Fisheye {
         }
     }
 
-    /// Where a point of the camera frame is seen; `None` within `margin` pixels of the border.
+    /// Pixel of a point in the camera frame; `None` within `margin` pixels of the border.
     pub(crate) fn project(&self, point: &Point3<f64>, margin: f64) -> Option<[f64; 2]> {
         let seen = point.coords - self.position_m;
         let [x, y, z] = self.axes.map(|axis| axis.dot(&seen));
@@ -132,7 +132,7 @@ impl Sheet {
         Self { width: self.width / 4, height: self.height / 4, kind }
     }
 
-    /// Where each of the camera's eyes is.
+    /// Positions of the camera's eyes.
     pub(crate) fn eyes(&self) -> Vec<Point3<f64>> {
         match self.kind {
             Kind::Sphere { lens_distance_m } if lens_distance_m > 0.0 => {
@@ -143,8 +143,8 @@ impl Sheet {
         }
     }
 
-    /// Where eye `k` sees a point of the camera frame; `None` within `margin` pixels of the border
-    /// of its picture.
+    /// Pixel of a point in the camera frame for eye `k`. `None` within `margin` pixels of its
+    /// picture's border.
     pub(crate) fn project(&self, k: usize, point: &Point3<f64>, margin: f64) -> Option<[f64; 2]> {
         let (width, height) = (f64::from(self.width), f64::from(self.height));
         match self.kind {

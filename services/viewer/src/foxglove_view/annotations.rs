@@ -14,6 +14,7 @@ use super::values::{colour, of_bytes};
 use crate::scene::EndedFrame;
 use crate::wire::RegionView;
 
+/// Colour of markers.
 const MARKER: [u8; 3] = [0x4d, 0xe3, 0xe3];
 /// Points along each side of a region, whose image is curved.
 const STEPS: u32 = 8;

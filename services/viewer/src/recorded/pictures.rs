@@ -87,7 +87,7 @@ impl RecordedPictures {
     fn make(
         &mut self,
         header: &FrameHeader,
-        jpeg: &Vec<u8>,
+        jpeg: &[u8],
         ended: Option<&EndedFrame>,
     ) -> anyhow::Result<PagePicture> {
         let camera = &self.recorded.resolved.camera;
@@ -99,12 +99,12 @@ impl RecordedPictures {
         let tracks = ended.map_or(&[][..], |ended| &ended.tracks);
         let wants_closeups = is_whole && self.closeups.is_some() && !tracks.is_empty();
         if self.maker.is_shown_as_is(size) && !wants_closeups {
-            picture.jpeg.clone_from(jpeg);
+            picture.jpeg = jpeg.to_vec();
             return Ok(picture);
         }
         let decoded = decode(jpeg, camera_px)?;
         if self.maker.is_shown_as_is(size) {
-            picture.jpeg.clone_from(jpeg);
+            picture.jpeg = jpeg.to_vec();
         } else {
             picture.jpeg = self.maker.jpeg_of_decoded(&decoded)?.to_vec();
             picture.size = self.maker.size();

@@ -181,7 +181,7 @@ fn a_late_measurement_takes_its_place() {
     // What was seen stays seen.
     assert_eq!(late.unseen(frame(5), &still()), Some(TrackState::Confirmed));
     assert_eq!(late, in_time);
-    // Of a time within the history, what was known up to then.
+    // A prediction for a time within the history uses what was known up to then.
     let then = late.predict(frame(5), &still()).unwrap();
     assert_eq!(then.stamp_s, frame(5));
     assert!(late.predict(frame(0), &still()).is_none());
