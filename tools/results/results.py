@@ -296,7 +296,7 @@ def evaluated(poses, truth, rotations=None):
 def flight_command(arguments, way, name, truth, instance="results"):
     """The command of one flight, and where it writes its poses, its truth and, if it is simulated, its rotations."""
     poses = WORK / f"{name}.csv"
-    # A setting of the flight says better how it runs.
+    # A profile among the settings of the flight takes precedence.
     chosen = any(argument.startswith("profile=") for argument in arguments)
     profile = [] if chosen else ["--profile", "repeat" if way == "lossless" else "flight"]
     command = ["up", *arguments, *profile, *quiet(instance), "--poses", str(poses)]

@@ -3,9 +3,13 @@
 //!
 //! A test prints a message and skips if its resource is absent.
 //! `FLOCKEYE_REQUIRE=recordings,vulkan` lists required resources. If one of them is absent, the
-//! test fails instead of skipping. Other names are `namespaces` (mount namespaces), `radio`
-//! (network namespaces with /dev/net/tun), `python` and `c` (tools for stages in these languages),
-//! `browser` (Chromium), and `fault-points` (a launcher that was built with them).
+//! test fails instead of skipping. Other names are:
+//!
+//! - `namespaces`: mount namespaces
+//! - `radio`: network namespaces with /dev/net/tun
+//! - `python`, `c`: tools for stages in these languages
+//! - `browser`: Chromium
+//! - `fault-points`: a launcher that was built with them
 
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};

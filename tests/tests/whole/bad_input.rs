@@ -315,7 +315,7 @@ fn a_reader_that_goes_away_does_not_end_the_flight() {
     command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::null());
     let mut child = command.spawn().expect("flockeye can be started");
     let mut line = String::new();
-    // As `| head -1` does it: one line is read, then the pipe is closed.
+    // The reader acts like `| head -1`: it reads one line, then closes the pipe.
     let mut reader = BufReader::new(child.stdout.take().expect("it is piped"));
     reader.read_line(&mut line).expect("there is a line");
     drop(reader);

@@ -1,5 +1,5 @@
-//! What was built or mounted wrongly by a known amount is found as it is, by the real stages: a
-//! body, a camera's mount, its lenses.
+//! Parts that were built or mounted wrongly by a known amount are found as they are, by the real
+//! stages: a body, a camera's mount, its lenses.
 
 use std::time::Duration;
 
@@ -82,7 +82,7 @@ fn a_badly_glued_body_is_found_as_it_is() {
     println!("{output}");
     let found: serde_json::Value =
         serde_json::from_slice(&std::fs::read(&out).expect("it was written")).expect("JSON");
-    // Who reads bodies reads these too.
+    // The written file is a valid bodies file.
     let read = Bodies::from_json(&found.to_string()).expect("a bodies file");
     let read = read.iter().find(|body| body.name == "alpha").expect("it is there");
     let listed = found["bodies"]["alpha"]["markers"].as_array().expect("a list");
@@ -175,8 +175,8 @@ fn moved(mount: &Isometry3<f64>, shift: [f64; 3], turn: [f64; 3]) -> Isometry3<f
     Isometry3::from_parts((mount.translation.vector + Vector3::from(shift)).into(), rotation)
 }
 
-/// What is left of a mount, as roots of the summed squares of position, then rotation: no more than
-/// it states.
+/// The errors of a mount, as roots of the summed squares of position, then rotation. Fails if one
+/// exceeds its stated deviation 2.5 times.
 fn left_as_stated(truth: &Isometry3<f64>, found: &Isometry3<f64>, report: &Value) -> [f64; 2] {
     let norm = |key: &str| Vector3::from(numbers::<3>(&report[key])).norm();
     let stated = [norm("position_deviation_m"), norm("rotation_deviation_rad")];

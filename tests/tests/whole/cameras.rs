@@ -50,8 +50,8 @@ fn fly(name: &str, camera: &str, set: &[&str]) -> (Value, String) {
     (report, flight.output())
 }
 
-/// Most of the frames are measured, and to a few millimetres: with the lenses taken for one point
-/// it would be the 8 mm that they sit beside it.
+/// Most of the frames are measured, and to a few millimetres. With both lenses taken for one point
+/// the errors would be the 8 mm of each lens from it.
 fn assert_sound((report, output): &(Value, String)) {
     // The last bin holds all distances.
     let all = report["bins"].as_array().and_then(|bins| bins.last()).expect("there are bins");

@@ -69,7 +69,7 @@ fn a_candidate_is_compared_with_our_own_stage_on_a_recording() {
         found.unwrap_or_else(|| panic!("no {what:?}: {output}"))["value"].as_f64()
     };
     assert!(value("beside Flockeye's own: frames compared") >= Some(10.0), "{output}");
-    // It is the same program on the same views.
+    // The candidate is the same program on the same views.
     assert!(value("what it finds") > Some(50.0), "{output}");
     let (succeeded, output) = run(&["stage", "test", "gateway", "--beside", "sim"]);
     assert!(!succeeded && output.contains("cannot run beside another"), "{output}");

@@ -75,7 +75,7 @@ fn explained(recording: &Path, target: &str, frame: u64) -> Value {
     serde_json::from_slice(&output.stdout).unwrap_or_else(|error| panic!("{error}: {complaint}"))
 }
 
-/// What was recorded of each target in each frame.
+/// A recorded track of a target, with its frame.
 struct Told {
     frame: u64,
     track: Track,
@@ -184,7 +184,7 @@ fn a_lossless_flight_is_explained_exactly() {
     assert!((unseen_s - track.unseen_ns as f64 * 1e-9).abs() < 1e-9);
     assert_eq!(said["reliance"]["is_exact"], true, "{}", said["reliance"]);
 
-    // One that is not there.
+    // A target that is not in view.
     let said = explained(&recording, "charlie", 30);
     assert_eq!(
         (&said["step"], &said["result"]),
@@ -263,7 +263,7 @@ fn losses_are_told(scratch: &Scratch, recording: &Path) {
     assert_eq!(said["reliance"]["lost"], serde_json::json!([["flockeye/view", 7]]), "{said}");
 }
 
-/// What decided in a flight in real time is known from its journal.
+/// The decisions of a flight in real time are known from its journal.
 #[test]
 fn a_flight_in_real_time_is_explained_exactly() {
     let scratch = Scratch::new("explained-live");

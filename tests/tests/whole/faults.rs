@@ -90,7 +90,7 @@ fn a_worker_whose_messages_are_refused_is_replaced_and_given_up_for_a_while() {
         &mut flight,
         &[
             POSES_FLOW,
-            // How many it is at the first word depends on how many views it gets.
+            // The number in the first warning depends on the number of views.
             "): flockeye/detection: 3 hits among the markers",
             "times; it is killed and started again",
             "also after it was started again. It is given up for 30 s; what is left: 1 other of this stage go on",

@@ -62,17 +62,17 @@ where
     }
 }
 
-/// How many messages the stages say they have refused.
+/// Counts the messages that stages report as refused.
 struct Refusals<'a> {
     healths: Subscriber<Healths>,
     flight: &'a Flight,
 }
 
 impl Refusals<'_> {
-    /// What a stage reports next.
+    /// The count of failures in the next report of a stage.
     fn of(&mut self, stage: &str) -> u64 {
         let start = Instant::now();
-        // What lies here is from before.
+        // Waiting messages are older, so they are dropped.
         while self.healths.receive().expect("health can be read").is_some() {}
         loop {
             while let Some(message) = self.healths.receive().expect("health can be read") {
@@ -86,8 +86,8 @@ impl Refusals<'_> {
         }
     }
 
-    /// Tells a lie until each of its readers counts it as refused: of what waits for it, a stage
-    /// takes the newest, and an honest message may have come since.
+    /// Tells a lie until each of its readers counts it as refused. A stage takes only the newest
+    /// waiting message, and an honest one may have come since.
     fn after(&mut self, what: &str, readers: &[&str], lie: impl Fn()) {
         let before: Vec<_> = readers.iter().map(|reader| self.of(reader)).collect();
         lie();
@@ -233,7 +233,7 @@ fn lie_with_frame_ends(node: &Node<ipc::Service>, refusals: &mut Refusals<'_>) {
 
 /// Topics that only the launcher reads, which counts nothing, but says what it refuses.
 ///
-/// What a publisher said is gone with it, so this one stays until it was heard.
+/// Messages of a publisher end with it, so this one stays until its message was received.
 fn lie_to_the_launcher(node: &Node<ipc::Service>, flight: &Flight) {
     let nowhere = Pose { position: [f64::NAN; 3], ..Pose::default() };
     let tracks = Liar::<Tracks>::on(node, Tracks::NAME);

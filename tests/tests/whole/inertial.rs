@@ -66,7 +66,7 @@ fn a_sensor_that_agrees_makes_the_rotation_better() {
     assert!(ahead_deg.iter().any(|degrees| *degrees > 0.01), "{ahead_deg:?}");
 }
 
-/// What egomotion says, without what differs from run to run: when it was published.
+/// The messages of egomotion without the times of publication, which differ from run to run.
 fn timeless(tape: &Tape) -> Vec<Rotation> {
     let timeless = |rotation: &Rotation| Rotation {
         stamp: FrameStamp { published_ns: 0, ..rotation.stamp },
@@ -117,7 +117,7 @@ fn mounting_and_clock_are_calibrated_from_a_flight() {
     ]));
     assert!(off.to_degrees() < 1.0, "{found}");
 
-    // Of a sensor whose clock is right the same says how late the camera's frames arrive.
+    // With a sensor whose clock is right the offset is the latency of the camera's frames.
     let late = [&set[..], &["--set", "simulator.inertial.time_offset_ms=180"]].concat();
     let output = succeeds(&[&["calibrate", "latency", "--json"], &late[..]].concat());
     let found: Value = serde_json::from_str(&output).expect("nothing but JSON");

@@ -51,7 +51,7 @@ fn wait_for_a_pose(flight: &mut Flight) {
 
 fn kill(pid: i32) {
     let pid = Pid::from_raw(pid).expect("a process");
-    // It may have ended by itself: then it is as dead as it should be.
+    // An error is ignored: the process may have ended by itself.
     kill_process(pid, Signal::KILL).ok();
 }
 
@@ -81,7 +81,7 @@ fn stages_fly_on_without_their_launcher_and_the_next_one_takes_them_over() {
     wait_for_a_pose(&mut second);
     assert_eq!(workers(&instance), before, "{}", second.output());
     assert!(!second.output().contains("started again"), "{}", second.output());
-    // It looks after them as after its own: their lines, their ends, their restarts.
+    // The second launcher manages these stages like its own: lines, ends, restarts.
     kill(before["fusion"]);
     second.wait_for("fusion ended (an earlier launcher had started it");
     second.wait_for("fusion is started again");

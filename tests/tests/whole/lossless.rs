@@ -12,7 +12,7 @@ use nalgebra::Vector3;
 
 const FRAMES: u64 = 40;
 
-/// What came of a flight, without what says how long it took.
+/// The results of a flight, without times.
 struct Flown {
     /// The messages of `track`, byte by byte.
     tracks: Vec<Vec<u8>>,
@@ -172,9 +172,9 @@ fn measured(profile: &str) -> BTreeMap<(u64, String), (Vector3<f64>, f64)> {
     measured.collect()
 }
 
-/// The profile decides which passes run, and not what a frame says: whatever both flights measured
-/// is the same but for where alignment started from, and the path along which its track expects it
-/// to be blurred. Bodies are as small here as at 2 m in frames of 3840x1920.
+/// The profile decides which passes run, but not their results. Poses that two flights have
+/// measured differ only by the start of alignment, and by the path of the blur that the track
+/// expects. Bodies are as small here as at 2 m in frames of 3840x1920.
 #[test]
 fn flight_by_the_clock_by_stated_costs_and_without_limit_gives_the_same_poses() {
     let unlimited = measured("unlimited");

@@ -101,8 +101,8 @@ fn with_inertial(path: &Path) -> usize {
     recording::read(path, "flockeye/rotation").0.iter().filter(is_both).count()
 }
 
-/// A simulated flight with an inertial sensor is recorded with all its frames, and played: stamps
-/// and samples are the same bit by bit, and poses differ by no more than the noise of JPEG.
+/// A simulated flight with an inertial sensor is recorded with all its frames, and played. Stamps
+/// and samples are the same bit by bit. Poses differ by no more than the noise of JPEG.
 #[test]
 fn a_recorded_flight_is_flown_again() {
     let scratch = Scratch::new("played");
@@ -160,7 +160,7 @@ fn a_recorded_flight_is_flown_again() {
     }
     flight.assert_nothing_left();
 
-    // What it cannot be played by.
+    // Recordings without pictures of frames cannot be played.
     let (is_well, said) = run(&["up", "--profile", "repeat", "--source", text(&again)]);
     assert!(!is_well, "{said}");
     assert!(said.contains("has no pictures of frames: it has headers alone"), "{said}");

@@ -84,8 +84,8 @@ fn poses_flow_the_whole_time_and_memory_does_not_grow() {
     flight.assert_nothing_left();
 }
 
-/// Two frames at once, a sixth of a second without any, a clock that jumps back by three seconds
-/// and ahead by forty: each costs its own frames at most.
+/// The camera sends two frames at once, then none for a sixth of a second. Its clock jumps back by
+/// three seconds, and ahead by forty. Each fault costs its own frames at most.
 #[test]
 fn a_camera_that_keeps_no_time_is_followed() {
     let scratch = Scratch::new("erratic");

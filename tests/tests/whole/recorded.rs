@@ -48,7 +48,7 @@ fn the_recorded_flight_is_followed_as_promised() {
     assert_eq!(evaluation.false_poses, 0, "{:?}", evaluation.false_at);
 }
 
-/// That of the eligible bodies between two distances at least `share` were measured, with errors no
+/// At least `share` of the eligible bodies between two distances were measured, with errors no
 /// larger than these.
 fn assert_reached(
     evaluation: &Evaluation,

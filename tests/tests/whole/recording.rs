@@ -63,8 +63,8 @@ pub(crate) fn text(path: &Path) -> &str {
     path.to_str().expect("a plain path")
 }
 
-/// Every frame of a lossless flight is in the recording, bit by bit as an onlooker sees it, and
-/// other people's tools read the same poses as `--poses` writes.
+/// Every frame of a lossless flight is in the recording, bit by bit as an onlooker sees it. Other
+/// people's tools read the same poses as `--poses` writes.
 #[test]
 fn every_frame_is_recorded_and_other_peoples_tools_read_it() {
     let scratch = Scratch::new("recorded");
@@ -246,7 +246,7 @@ fn a_killed_recorder_leaves_a_recording_that_opens() {
     let (is_well, said) = run(&["record", text(&out), "--instance", &name]);
     assert!(!is_well && said.contains("is being written by another recorder. Cure:"), "{said}");
     let start = Instant::now();
-    // It can be read while it is written, too.
+    // A recording can also be read while it is written.
     while read_any(&out) < 5 {
         assert!(start.elapsed() < WATCHDOG, "nothing is written:\n{}", killed.output());
         std::thread::sleep(Duration::from_millis(100));
@@ -287,7 +287,7 @@ fn a_file_that_cannot_grow_ends_the_recording_and_stays_readable() {
     flight.end_by(Signal::INT);
 }
 
-/// What came before is kept in memory, and written when somebody asks.
+/// The past is kept in memory, and written on request.
 #[test]
 fn what_came_before_is_written_on_request() {
     let scratch = Scratch::new("rec-ring");
@@ -296,7 +296,7 @@ fn what_came_before_is_written_on_request() {
     let name = flight.instance.name().to_owned();
     let (is_well, said) = run(&["record", "--now", "--instance", &name]);
     assert!(!is_well && said.contains("keeps the past. Cure:"), "{said}");
-    // One that writes everything has nothing to add.
+    // A recorder that writes everything has nothing to add.
     let mut other = recorder(&mut flight, &[text(&scratch.path("all.mcap"))]);
     let (is_well, said) = run(&["record", "--now", "--instance", &name]);
     assert!(!is_well && said.contains("keeps the past. Cure:"), "{said}");
@@ -428,7 +428,7 @@ fn a_flight_is_recorded_by_configuration() {
     flight.assert_nothing_left();
 }
 
-/// How many messages of `frame_end` a file has by now; none while its beginning is not whole.
+/// The present number of `frame_end` messages in a file; 0 while its beginning is not whole.
 fn read_any(path: &Path) -> usize {
     RecordingReader::open(path).map_or(0, |_| read(path, "flockeye/frame_end").0.len())
 }

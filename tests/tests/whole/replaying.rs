@@ -12,7 +12,7 @@ use flockeye_tests::{SMALL_FLIGHT, Scratch, run};
 use crate::explaining::flown_without_losses;
 use crate::recording::{forget_all_markers, layout, read, text};
 
-/// What a replay said.
+/// The report of a replay.
 struct Said {
     /// Messages that were compared.
     messages: u64,

@@ -1,4 +1,4 @@
-//! Where and when stages run.
+//! Processors and scheduling classes of stages.
 
 use std::path::{Path, PathBuf};
 
@@ -65,7 +65,7 @@ fn stages_run_where_and_when_they_are_told_to() {
     assert_eq!(class(of("fusion")), "3", "SCHED_BATCH");
     assert_eq!(class(of("detection")), "0", "SCHED_OTHER");
     assert_eq!(nice(of("simulator")), nice(own));
-    // Where the tests themselves give way, less is not to be had.
+    // Niceness cannot be lowered if the tests themselves are nice.
     if nice(own) == "0" {
         assert_eq!(nice(of("rectification")), "3");
         assert_eq!(nice(of("detection")), "5");
@@ -92,7 +92,7 @@ fn real_time_classes_are_had_with_the_privilege_and_refused_aloud_without() {
         assert_eq!(class(of("rectification")), "2", "SCHED_RR");
         assert_eq!(class(of("detection")), "0", "SCHED_OTHER");
     }
-    // What nobody waits for is in no real-time class, and gives way to all else.
+    // The background pass is in no real-time class, and gives way to all other threads.
     let aside = thread(of("fusion"), "background-pass").expect("it looks again in flight");
     assert_eq!(field(&aside, 41), "0", "SCHED_OTHER");
     let own = Pid::from_raw(std::process::id().cast_signed()).expect("a process has a number");

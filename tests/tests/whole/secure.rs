@@ -15,7 +15,7 @@ use rustix::process::Signal;
 
 use crate::python::{example, python};
 
-/// What an operator has done before the flight.
+/// The keys that an operator has made before the flight.
 struct Keys {
     folder: Scratch,
 }
@@ -96,7 +96,7 @@ struct Router {
 }
 
 impl Router {
-    /// So often at most: one that cannot start is no router.
+    /// Largest number of starts. A router that cannot start must not be tried for ever.
     const STARTS: usize = 10;
 
     /// With the configuration in `folder`.
@@ -155,7 +155,7 @@ fn drones_with_certificates_hear_each_other_until_one_is_revoked() {
     let _router = keys.router(port);
     let wren = keys.fly("wren", "kite", port);
     let mut kite = keys.fly("kite", "wren", port);
-    // It says whom it sees once it runs.
+    // A gateway reports its neighbours once it runs.
     kite.wait_for("wren confirmed");
     let mut look = look_on(&kite);
     look.wait_for("\"observer\":\"wren\"");

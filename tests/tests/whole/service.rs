@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use flockeye_tests::{Flight, SMALL_FLIGHT, Scratch, WATCHDOG, flockeye, succeeds, unique};
 use rustix::process::Signal;
 
-/// What systemd would hear of a pipeline, with the time of each message.
+/// The messages of a pipeline to systemd, with the time of each.
 struct Manager {
     socket: UnixDatagram,
     start: Instant,

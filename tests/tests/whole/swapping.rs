@@ -81,7 +81,7 @@ fn a_source_is_swapped_with_a_gap_that_is_told() {
     for part in ["the old process ends first", "simulator is swapped; ", " s passed without it"] {
         assert!(output.contains(part), "{part:?} is missing in:\n{output}");
     }
-    // One that does not work makes room for the old one again.
+    // The old program is started again if the new one does not work.
     let command = ["swap", "simulator", "--within", "2s", "--", "sleep", "100"];
     let (succeeded, output) = flight.ask(&command);
     assert!(!succeeded && output.contains("The old program is started again"), "{output}");
@@ -153,7 +153,7 @@ fn what_cannot_take_over_is_refused_with_its_reason_and_the_old_one_stays() {
         assert!(!succeeded && output.contains(wanted), "{wanted:?} is missing in:\n{output}");
     }
     assert_eq!(flight.stages("flockeye-detection"), before, "the old ones are untouched");
-    // Who wants it all the same gets it, and can go back.
+    // With --accept-worse it takes over, and can be swapped back.
     let (succeeded, output) = flight.ask(&["swap", "detection", "--accept-worse", "--", &silent]);
     assert!(succeeded, "{output}");
     assert_eq!(flight.stages("silent-detector").len(), 1);

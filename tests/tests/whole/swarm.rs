@@ -73,7 +73,7 @@ fn a_swarm_ends_with_its_command_however_that_ends() {
         std::thread::sleep(Duration::from_millis(50));
     }
     for instance in all {
-        // As the next `flockeye up` of that name, or `flockeye clean`.
+        // The next `flockeye up` of that name, or `flockeye clean`, does the same.
         drop(instance.take().expect("its name is free"));
         assert!(instance.shared_memory().is_empty(), "{} is left", instance.name());
     }

@@ -80,7 +80,7 @@ fn nodes_of_ros_2_hear_where_neighbours_are() {
         .declare_subscriber("7/wren/neighbours/kite/pose/**")
         .callback(move |sample| {
             let payload = sample.payload().to_bytes().into_owned();
-            // Whoever has heard one listens no more.
+            // An error is ignored: the receiver ends after one message.
             tell.send((payload, sample.attachment().is_some())).ok();
         })
         .wait()
@@ -119,7 +119,7 @@ fn the_autopilot_is_told_of_its_target_and_of_obstacles() {
     end(flight);
 }
 
-/// Where the drone was, by its autopilot, goes along with what it reports of a frame.
+/// The report of a frame contains the drone's pose by its autopilot.
 #[test]
 fn the_swarm_hears_the_autopilots_odometry() {
     let (listen, theirs) = (tcp(free_port()), free_udp());

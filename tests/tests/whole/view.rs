@@ -41,7 +41,7 @@ impl View {
         Self::launch(&format!("{instance}-view"), port, command)
     }
 
-    /// That of a recording.
+    /// The view of a recording.
     fn of_recording(path: &Path, arguments: &[&str]) -> Self {
         let port = free_port();
         let mut command = Command::new(flockeye());
@@ -60,11 +60,11 @@ impl View {
         format!("http://127.0.0.1:{}/", self.port)
     }
 
-    /// What it answers to these bytes.
+    /// The answer to these bytes.
     fn ask(&self, request: &[u8]) -> String {
         let mut stream = TcpStream::connect(("127.0.0.1", self.port)).expect("it listens");
         stream.set_read_timeout(Some(WATCHDOG)).expect("a socket has a timeout");
-        // It may have refused before all is said.
+        // An error is ignored: the view may refuse before it has read everything.
         let _ = stream.write_all(request);
         let mut answer = Vec::new();
         let _ = stream.read_to_end(&mut answer);
@@ -87,8 +87,9 @@ impl View {
     }
 }
 
-/// The mean grey of the picture on the white rims and on the black borders of a neighbour's markers
-/// that face the camera, where its pose, moved aside by so many millimetres, has them.
+/// The mean grey of the picture on white rims minus that on black borders, and the number of
+/// samples on rims. Markers are those of a neighbour that face the camera. They are sampled at its
+/// pose, moved aside by `millimetres`.
 const GREYS: &str = r"(millimetres) => {
     const { sphere, bodies, history } = flockeye;
     const track = history.pictured.frame.tracks.find(({ target }) => target === 0);
@@ -124,8 +125,7 @@ const GREYS: &str = r"(millimetres) => {
     return [sums.rim[0] / sums.rim[1] - sums.border[0] / sums.border[1], sums.rim[1]];
 }";
 
-/// Where the page draws the corners of the neighbour's markers in the flat picture, as shares of
-/// its sides.
+/// The places of the neighbour's marker corners in the page's flat picture, as shares of its sides.
 const CORNERS: &str = r"(() => {
     const { sphere, bodies, history } = flockeye;
     const { key, tracks } = history.pictured.frame;
@@ -148,8 +148,7 @@ const SEEN: &str = "(flockeye.history.frames.filter(({ bitmap }) => bitmap).leng
     .some(({ target, state, by }) => target === 0 && state === 'confirmed' && by === 'aligned')
     && flockeye.history.frames.some(({ closeups }) => closeups.get(0)?.head.score?.correlation > 0.8))";
 
-/// Fails unless the page and the camera model agree where the corners of the neighbour's markers
-/// are.
+/// Fails unless page and camera model have the neighbour's marker corners at the same places.
 fn assert_corners_are_in_their_places(browser: &mut Browser, resolved: &Resolved) {
     let drawn = browser.ask(CORNERS);
     let ([x, y, z], q) = (numbers(&drawn["pose"]["p"]), numbers::<4>(&drawn["pose"]["q"]));
@@ -296,14 +295,14 @@ fn ten_pages_and_one_that_reads_nothing_cost_no_frame() {
     flight.assert_nothing_left();
 }
 
-/// What a page is told next.
+/// The next message to a page.
 fn next(page: &mut WebSocket<TcpStream>, start: Instant) -> Message {
     assert!(start.elapsed() < WATCHDOG, "what is waited for does not come");
     page.read().expect("the view goes on")
 }
 
-/// Waits until the view reads frames, too. It does from a report of the stages on that came after
-/// one that came after one that may have crossed the page's wish.
+/// Waits until the view reads frames, too: for three reports of the stages. The first may be older
+/// than the page's wish. The view follows it by the third.
 fn wait_until_followed(page: &mut WebSocket<TcpStream>) {
     let (mut reports, start) = (0, Instant::now());
     while reports < 3 {
@@ -372,7 +371,7 @@ fn bad_requests_are_refused_and_harm_nobody() {
     let refused = view.socket("?token=wrong-token").expect_err("it is wrong");
     assert!(refused.contains("401"), "{refused}");
 
-    // What a page may not say ends it, and no other.
+    // An invalid message ends its own page, and no other.
     let mut other = view.socket("?token=open-sesame").expect("it is right");
     for nonsense in
         [Message::text("{}"), Message::binary(vec![0; 10]), Message::text("x".repeat(5_000))]

@@ -115,8 +115,8 @@ fn an_untracked_target_is_found_before_the_sphere_is_searched_twice() {
     assert_eq!(fusion.len(), 1, "{fusion:?}");
     kill_process(fusion[0], Signal::KILL).expect("it runs");
     let start = Instant::now();
-    // The successor hears nothing of the frames that were searched while fusion was away: it looks
-    // for untracked targets from the first frame on that follows a plan of its own.
+    // The successor receives nothing about frames that were searched while fusion was away. It
+    // looks for untracked targets from the first frame that follows a plan of its own.
     let (mut asked, mut first, mut found) = (0, None, None);
     let mut look = || {
         assert!(start.elapsed() < WATCHDOG, "nobody is found:\n{}", flight.output());
@@ -136,7 +136,7 @@ fn an_untracked_target_is_found_before_the_sphere_is_searched_twice() {
             let is_seen = message.header.generation > 0 && !message.items().is_empty();
             found = is_seen.then_some(message.header.stamp.sequence);
         }
-        // What is searched meanwhile has gaps too: the longest is known at the end of a sweep.
+        // Frames searched meanwhile have gaps too. The longest is known at the end of a sweep.
         let is_swept = sweep.report().is_some_and(|report| report.partitions.mean_frames.is_some());
         anyhow::Ok((!is_swept || found.is_none()).then_some(Duration::from_millis(5)))
     };
@@ -162,7 +162,7 @@ fn what_does_not_run_cannot_be_watched() {
     assert!(!out.exists(), "nothing is left of what could not be recorded");
 }
 
-/// What a pipeline answers to a request, whole.
+/// The whole answer of a pipeline to a request.
 fn asked(port: u16, path: &str) -> String {
     use std::io::{Read, Write};
     let mut stream = std::net::TcpStream::connect(("127.0.0.1", port)).expect("it listens");

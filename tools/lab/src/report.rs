@@ -200,8 +200,8 @@ mod tests {
         std::fs::remove_dir_all(&folder).expect("it can be removed");
         assert_eq!(page.matches("<svg").count(), 1 + 3 + 3 + 1);
         assert_eq!(page.matches("<svg").count(), page.matches("</svg>").count());
-        // A dot for each measured frame in distance, x, y, z and the error (and its own), and one
-        // for the prediction in each of the first four; and the keys.
+        // Each measured frame has a dot in distance, x, y and z, and two dots in the error. The
+        // prediction has one in each of the first four. The other dots are the keys.
         let dots = page.matches("<circle").count();
         assert_eq!(dots, 4 * (44 + 1 + 2) + 2 * 44 + 2);
         assert!(!page.contains("http") && !page.contains("src=") && !page.contains("@import"));

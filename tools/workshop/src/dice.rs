@@ -25,7 +25,7 @@ impl Dice {
         (self.number() >> 11) as f64 / (1_u64 << 53) as f64
     }
 
-    /// A random entry; `None` of an empty list.
+    /// A random entry; `None` if the list is empty.
     pub(crate) fn choose<T: Copy>(&mut self, from: &[T]) -> Option<T> {
         let number = self.number();
         from.get((number % (from.len().max(1) as u64)) as usize).copied()

@@ -35,7 +35,7 @@ const HAND_OVERS: [HandOver; 5] = [
         command: &["swap", "fusion", "--within", "60s", "--set", "fusion.covariance_scale=1.5"],
         steps: &["settings are written", "taking over is said", "it is swapped"],
     },
-    // It works in the shadow, and ends by itself once it counts.
+    // The new process works in the shadow, and ends by itself after it has taken over.
     HandOver {
         name: "back",
         command: &["swap", "detection", "--accept-worse", "--", SILENT_DETECTOR, "leave"],

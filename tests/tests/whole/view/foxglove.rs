@@ -40,7 +40,7 @@ fn foxglove_sees_the_same_scene() {
         "/stages" => format!("{topic}=fusion"),
         other => other.to_owned(),
     }));
-    // It has a watchdog of its own.
+    // The script has a watchdog of its own.
     let output = command.stdin(Stdio::null()).output().expect("it can be started");
     let (said, complaints) = (text(&output.stdout), text(&output.stderr));
     assert!(output.status.success(), "{said:.2000}\n{complaints}");
@@ -89,7 +89,7 @@ fn foxglove_sees_the_same_scene() {
     let stages = message("/stages")["stages"].as_array().expect("a list");
     assert!(stages.iter().any(|stage| stage["stage"] == "fusion"), "{stages:?}");
 
-    // What the layout shows is there.
+    // All topics of the layout exist.
     let layout = Path::new(env!("CARGO_MANIFEST_DIR")).join("../deploy/foxglove-layout.json");
     let layout = std::fs::read_to_string(layout).expect("it is in the repository");
     let layout: Value = serde_json::from_str(&layout).expect("JSON");

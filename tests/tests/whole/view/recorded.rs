@@ -25,7 +25,7 @@ use super::{View, assert_corners_are_in_their_places, assert_picture_is_where_th
 
 /// Frames of the recorded flight.
 const FRAMES: u64 = 75;
-/// Of so many frames one has a picture.
+/// Interval of frames with a picture.
 const EVERY: u64 = 3;
 
 /// A frame that ended in a recording.
@@ -174,7 +174,7 @@ fn a_recording_is_shown_at_any_time() {
     ));
     browser.wait_for(&shows(&flight.ended[40].key));
 
-    // It plays, and stops.
+    // The page plays, and stops.
     let sequence = "flockeye.history.current.frame.sequence";
     browser.press(" ", "Space");
     browser.wait_for(&format!("{sequence} >= 45 && flockeye.playback.speed === 1"));
@@ -257,7 +257,7 @@ fn pages_have_their_own_places_and_broken_files_say_so() {
         assert_eq!(position(page, 2).0["key"], flight.ended[7 * number + 2].key);
     }
 
-    // What cannot be is bounded.
+    // Invalid values are limited.
     let page = &mut pages[0];
     let last = flight.ended.len() - 1;
     let garbage = [
@@ -368,7 +368,7 @@ fn foxglove_seeks_in_a_recording() {
         let mut command = Command::new(&python);
         command.arg(Path::new(env!("CARGO_MANIFEST_DIR")).join("src/foxglove.py"));
         command.arg(format!("ws://{address}")).args(["--seek", &share.to_string()]);
-        // It has a watchdog of its own.
+        // The script has a watchdog of its own.
         let output = command.stdin(Stdio::null()).output().expect("it can be started");
         let said = String::from_utf8_lossy(&output.stdout).into_owned();
         let complaints = String::from_utf8_lossy(&output.stderr).into_owned();

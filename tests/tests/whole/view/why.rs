@@ -10,7 +10,7 @@ use rustix::process::Signal;
 use super::View;
 use crate::recording::read;
 
-/// Where the row of the first neighbour is on the screen, at the time that is shown.
+/// The screen position of the first neighbour's row, at the shown time.
 const ROW: &str = r"(() => {
     const { rows, begin, end, canvas } = flockeye.timelines;
     const box = canvas.getBoundingClientRect();

@@ -171,7 +171,8 @@ fn agreeing(places: &[MeasuredPlace]) -> Result<Vec<bool>, CalibrationError> {
     let limit = |kept: &[bool]| chi_square_quantile(freedom(places, kept) as f64, AGREEING);
     let least = LEAST_PLACES.max((KEPT_SHARE * places.len() as f64).ceil() as usize);
     let mut kept = all.clone();
-    if fit_kept(places, &kept)?.2 <= limit(&kept) {
+    let (_, _, chi_square) = fit_kept(places, &kept)?;
+    if chi_square <= limit(&kept) {
         return Ok(kept);
     }
     while kept.iter().filter(|is| **is).count() > least {

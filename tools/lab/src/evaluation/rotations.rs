@@ -161,7 +161,7 @@ mod tests {
 
     const FRAMES: u64 = 30;
     const STEP_S: f64 = 1.0 / 30.0;
-    /// Of each rotation recorded here: its error, and the standard deviation stated for each axis.
+    /// Error of each recorded rotation, and stated standard deviation of each axis, radians.
     const OFF_RAD: f64 = 1e-3;
 
     /// The camera leans and yaws.

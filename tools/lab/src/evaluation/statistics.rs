@@ -34,9 +34,9 @@ impl Spread {
 }
 
 /// The effective sample size: the number of independent samples whose mean has the same variance.
-/// It is n / (1 + 2 (r1 + r2 + ...)) with the correlation r at each lag, up to the first r that is
-/// not positive (Geyer, "Practical Markov chain Monte Carlo", 1992). Samples of different series
-/// are independent.
+/// It is n / (1 + 2 (r1 + r2 + ...)) with the correlation r at each lag. The sum ends before the
+/// first r that is not positive. This is the simplest form of the rule of Geyer ("Practical Markov
+/// chain Monte Carlo", 1992). Samples of different series are independent.
 pub fn effective_samples(series: &[Vec<f64>]) -> f64 {
     let all: Vec<f64> = series.concat();
     let count = all.len() as f64;
@@ -64,9 +64,9 @@ pub fn effective_samples(series: &[Vec<f64>]) -> f64 {
 
 /// Effective number of samples of independent runs, with any correlation within a run. All frames
 /// of a flight share its path and its light. The variance of the mean is estimated from the sums of
-/// the runs (cluster-robust variance; Liang and Zeger, "Longitudinal data analysis using
-/// generalized linear models", 1986). With fewer runs than [`FEWEST_RUNS`] this is not possible.
-/// Then the result is that of [`effective_samples`].
+/// the runs. This is the cluster-robust variance (Liang and Zeger, "Longitudinal data analysis
+/// using generalized linear models", 1986). With fewer runs than [`FEWEST_RUNS`] it cannot be
+/// estimated. Then the result is that of [`effective_samples`].
 pub fn effective_samples_of_runs(runs: &[Vec<f64>]) -> f64 {
     let all: Vec<f64> = runs.concat();
     let count_of_runs = runs.iter().filter(|run| !run.is_empty()).count();

@@ -23,7 +23,7 @@ impl Bin {
 }
 
 impl NeesVerdict {
-    /// As text.
+    /// The verdict as text.
     pub fn text(self) -> &'static str {
         match self {
             Self::Consistent => "consistent",
@@ -34,7 +34,7 @@ impl NeesVerdict {
 }
 
 impl Nees {
-    /// As text.
+    /// The statistics as text.
     pub fn text(&self) -> String {
         format!(
             "mean {:.2} (95 %: {:.2} to {:.2}), median {:.2}, {:.1} % inside 99 %, of {} samples worth {:.0} independent ones: {}",

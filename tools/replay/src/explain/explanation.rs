@@ -105,9 +105,9 @@ pub(super) struct BeforeFacts {
     pub deviations: Option<Deviations>,
     /// The last frame that measured the target.
     pub measured_in: Option<u64>,
-    /// See `measured_in`.
+    /// Method of that measurement.
     pub measured_by: Option<MeasuredBy>,
-    /// See `measured_in`.
+    /// Time from the exposure of that frame to this one's, seconds.
     pub measured_ago_s: Option<f64>,
 }
 

@@ -32,7 +32,7 @@ use flockeye_fusion::{
 /// The frame that is asked about.
 const FRAME: u64 = 7;
 
-/// Where alpha is, `camera_from_markers`: ahead.
+/// The pose of alpha, `camera_from_markers`: ahead.
 fn there() -> Isometry3<f64> {
     Isometry3::translation(1.5, 0.2, 0.1)
 }

@@ -182,7 +182,7 @@ fn a_message_that_is_missing_is_named() {
     assert!(turn.0.starts_with("the rotation of frame 3, which"), "{}", turn.0);
 }
 
-/// It is known before the recording's end.
+/// The lack of a message is known before the recording's end.
 #[test]
 fn a_missing_message_is_not_waited_for_for_ever() {
     let mut recording = flown();
@@ -209,7 +209,7 @@ fn what_is_no_journal_from_the_beginning_on_is_refused() {
     let mut none = flown();
     none.retain(|(message, _)| !is_journal(message));
     assert!(refused(none.clone()).contains("has no journal of fusion"));
-    // It is not read to its end first.
+    // The refusal comes before the recording's end.
     let mut replay = FusionReplay::new(&resolved()).unwrap();
     let end = |utc_ns| (FlightMessage::FrameEnd(region_end(0, 0, 0)), utc_ns);
     let mut ends = [end(0), end(6_000_000_000)].into_iter();

@@ -17,7 +17,7 @@ use nalgebra::{Point2, UnitQuaternion, Vector3};
 
 use super::bench::Bench;
 use super::pictures::{self, ShownMarker};
-use super::report::ConformanceReport;
+use super::report::{ConformanceReport, OWES};
 
 const PAGE: &str = "Detection (view to detection)";
 
@@ -323,7 +323,7 @@ impl Script {
             })?;
             bench.report.holds(
                 "malformed views cost nothing else",
-                "What every stage owes",
+                OWES,
                 is_answered.is_some(),
                 || format!("after a view with {what} the next one was not answered"),
             );

@@ -15,6 +15,7 @@ use flockeye_runtime::ports::{Publisher, Subscriber};
 use nalgebra::{Isometry3, Matrix6, Point3, Translation3, Unit, UnitQuaternion, Vector3};
 
 use super::bench::Bench;
+use super::report::OWES;
 
 const PAGE: &str = "Fusion (view, detection, frame_end, rotation to track, plan)";
 const TRACK_PAGE: &str = "Layout";
@@ -355,12 +356,9 @@ impl Script<'_> {
         );
         let stamp = self.stamp();
         let told = self.fly(bench, stamp, &[])?;
-        bench.report.holds(
-            "malformed records cost nothing else",
-            "What every stage owes",
-            told.lasts == 1,
-            || "the next frame was not ended".to_owned(),
-        );
+        bench.report.holds("malformed records cost nothing else", OWES, told.lasts == 1, || {
+            "the next frame was not ended".to_owned()
+        });
         Ok(())
     }
 }

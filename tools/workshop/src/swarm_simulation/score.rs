@@ -21,6 +21,7 @@ const KEPT_TRUTHS: usize = 256;
 const WAITING_CLAIMS: usize = 4096;
 /// Largest gap between exposures that is interpolated.
 const LONGEST_GAP_NS: i64 = 500_000_000;
+
 /// A drone's estimate of another drone's pose.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Claim {
@@ -153,9 +154,7 @@ impl ClaimScore {
             reports_ms: median_and_most(self.took_ms.iter().copied()),
         }
     }
-}
 
-impl ClaimScore {
     fn report_of(&mut self, drone: &str, frame: u64) -> &mut (Option<i64>, Vec<i64>) {
         if self.reports.len() > WAITING_CLAIMS {
             self.reports.clear();
@@ -178,6 +177,7 @@ impl ClaimScore {
     }
 }
 
+/// Median and 95 % quantile of values; `None` without values.
 fn median_and_most(values: impl Iterator<Item = f64>) -> Option<[f64; 2]> {
     let mut rising: Vec<f64> = values.collect();
     rising.sort_by(f64::total_cmp);

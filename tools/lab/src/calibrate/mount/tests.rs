@@ -14,7 +14,7 @@ fn transform(position: [f64; 3], turn: [f64; 3]) -> Isometry3<f64> {
     )
 }
 
-/// Where the camera really sits, and where it is configured to.
+/// The camera's real mount, and the configured one.
 fn mounts() -> (Isometry3<f64>, Isometry3<f64>) {
     (
         transform([0.05, -0.01, 0.12], [0.02, -0.05, 0.3]),

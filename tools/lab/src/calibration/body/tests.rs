@@ -44,7 +44,7 @@ fn aligned(truth: &Body, designed: &Body) -> Vec<Marker> {
     truth.markers.iter().map(moved).collect()
 }
 
-/// What is left between a marker and where it is: shift, then turn.
+/// The error of a calibrated marker: shift, then turn.
 fn left(truth: &Marker, found: &Marker) -> Vector6<f64> {
     let (truth, found) = (truth.markers_from_marker(), found.markers_from_marker());
     let shift = truth.translation.vector - found.translation.vector;

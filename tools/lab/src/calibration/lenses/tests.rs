@@ -7,9 +7,9 @@ use flockeye_geometry::camera::Lens;
 use flockeye_geometry::filter::chi_square_quantile;
 use flockeye_geometry::fixtures::{Chance, body, distance_squared, error, visible};
 
-/// Of each ray, radians: a sixth of a pixel of 3840.
+/// Standard deviation of each ray, radians: a sixth of a pixel of 3840.
 const RAY_RAD: f64 = 3e-4;
-/// What the rays are right for, metres.
+/// Distance for which the rays are valid, metres.
 const ASSUMED_M: f64 = 1.5;
 
 fn stitched(lens_distance_m: f64) -> Camera {
@@ -118,7 +118,7 @@ fn the_second_lens_is_found_within_its_covariance() {
         assert!((found.scatter - 1.0).abs() < 0.15, "scatter {}", found.scatter);
         assert!(found.scatter_before > 2.0 * found.scatter, "{}", found.scatter_before);
         assert!(found.error_at_m(1.5) < found.configured_error_at_m(1.5) / 4.0, "{found:?}");
-        // What it was off by is what had been changed.
+        // The change that was found is the error that had been made.
         let changed = error(&pose_of_second(&real), &pose_of_second(&believed));
         assert!((changed - found.change - left).norm() < 1e-4, "{changed} {}", found.change);
     }

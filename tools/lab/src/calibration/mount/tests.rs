@@ -6,7 +6,7 @@ use proptest::prelude::*;
 use super::*;
 use flockeye_geometry::fixtures::{Chance, distance_squared, error};
 
-/// Of each coordinate of the measured places, metres.
+/// Standard deviation of each coordinate of the measured places, metres.
 const PLACE_M: f64 = 0.002;
 
 /// A camera somewhere on a drone, turned by up to 20 degrees.

@@ -4,6 +4,7 @@ use flockeye_contract::{FrameHeader, PlanHeader, PlannedView, StopRule};
 use flockeye_runtime::clock;
 
 use super::{Bench, PAGE, STALE, Script, TAKEN_UP};
+use crate::conformance::report::OWES;
 
 impl Script<'_> {
     /// Malformed messages must not affect later ones.
@@ -69,8 +70,7 @@ impl Script<'_> {
         self.plan(1, StopRule::All)?;
         let (_, told) = self.fly(bench, |_| Some(0))?;
         let goes_on = !told.views.is_empty();
-        let page = "What every stage owes";
-        bench.report.holds("malformed frames and plans cost nothing else", page, goes_on, || {
+        bench.report.holds("malformed frames and plans cost nothing else", OWES, goes_on, || {
             format!("the next frame had no view after {after}")
         });
         Ok(goes_on && bench.runs())
