@@ -22,8 +22,8 @@ mod saved;
 
 pub use chi_square::{chi_square_gate, chi_square_quantile};
 pub use life::{
-    CONFIRM_WINDOW, GATE_PROBABILITY, HISTORY_S, Happened, LifeCycle, RESTART_AFTER_GATED,
-    TrackPolicy, TrackState,
+    CONFIRM_WINDOW, FrameMeasurement, GATE_PROBABILITY, HISTORY_S, Happened, LifeCycle,
+    RESTART_AFTER_GATED, STALE_AFTER_FRAMES, TrackPolicy, TrackState,
 };
 pub use saved::SavedLife;
 

@@ -288,7 +288,7 @@ impl Planner {
     }
 
     /// One region of interest for each neighbour, least recently searched first (ties by the
-    /// neighbours' own order). Then the proposals, where a target is not tracked. Then the tiles of
+    /// neighbours' own order). Then the proposals, where a target is not tracked or stale. Then the tiles of
     /// both resolutions in turn, least recently searched first.
     ///
     /// After [`MAX_FRAMES_WITHOUT_TILE`] frames without a tile, the first tile comes before the
@@ -310,7 +310,8 @@ impl Planner {
         let order =
             least_recently_searched(searched, visible(&self.tiles), visible(&self.high_resolution));
         let tiles = self.tile_views(searched, &order);
-        let proposals = if neighbours.len() < self.targets { self.proposals } else { 0 };
+        let known = neighbours.iter().filter(|neighbour| !neighbour.is_stale).count();
+        let proposals = if known < self.targets { self.proposals } else { 0 };
         let view_budget =
             regions.len() + proposals + self.roi.partitions_per_frame.min(tiles.len());
         let mut views = regions;

@@ -9,6 +9,7 @@
 use std::sync::{Arc, OnceLock};
 
 use flockeye_geometry::body::{Bodies, Body};
+use flockeye_geometry::pose::PoseEstimate;
 use flockeye_imaging::align::{
     AlignError, AlignOptions, Alignment, BodyPrint, Motion, Picture, Place, PrintError, Templates,
     align, reacquire, starts_at,
@@ -144,9 +145,9 @@ impl Aligner {
         &self,
         sought: &Sought<'_>,
         is_marked: impl Fn(&Isometry3<f64>) -> bool,
-        confirmed: Option<&Isometry3<f64>>,
+        confirmed: Option<&PoseEstimate>,
         needs_facets: bool,
-        round: Option<&Isometry3<f64>>,
+        round: Option<&PoseEstimate>,
         tried: &mut Vec<Hypothesis>,
     ) -> Decision {
         let decision = match confirmed {
@@ -168,7 +169,7 @@ impl Aligner {
     pub fn confirm(
         &self,
         sought: &Sought<'_>,
-        predicted: &Isometry3<f64>,
+        predicted: &PoseEstimate,
         is_marked: impl Fn(&Isometry3<f64>) -> bool,
         tried: &mut Vec<Hypothesis>,
     ) -> Decision {
@@ -268,13 +269,15 @@ impl Aligner {
         decision: Decision,
         target: usize,
         picture: &Picture<'_>,
-        predicted: &Isometry3<f64>,
+        predicted: &PoseEstimate,
         tried: &mut Vec<Hypothesis>,
     ) -> Decision {
         if decide::is_precise(&decision, tried) {
             return decision;
         }
-        let found = self.reacquire(target, picture, predicted).ok_or(AlignError::Nothing);
+        let found = self
+            .reacquire(target, picture, &predicted.camera_from_markers)
+            .ok_or(AlignError::Nothing);
         tried.push(Hypothesis::of(StartSource::Search, found));
         decide::with_search(decision, tried, predicted)
     }

@@ -25,7 +25,6 @@ use flockeye_geometry::pose::{
     PoseEstimate, PoseSolution, is_false, position_deviation_m, rotation_deviation_rad,
 };
 use flockeye_imaging::align::{Alignment, is_precise_by_corners, least_lead};
-use nalgebra::Isometry3;
 
 use crate::hypothesis::{CornerPose, CornerVerdict, Hypothesis, StartSource};
 use crate::measurement::PoseMeasurement;
@@ -33,8 +32,8 @@ use crate::policy::TimeBudget;
 
 /// Log of the prior probability of a pose beyond the tilt limit: one in a thousand.
 const TILTED_LOG: f64 = -6.9;
-/// Standard deviation about each axis of a right pose's rotation from its track's prediction,
-/// radians.
+/// Least standard deviation about each axis of a right pose's rotation from its track's prediction,
+/// radians. The filter may know it to be larger.
 const TURN_SIGMA_RAD: f64 = 0.15;
 /// Standard deviation of a false pose's rotation from its start, radians, where no body is. Half of
 /// those with log odds above 1 had turned by more than 0.46 (docs/results/decisions.md).
@@ -130,13 +129,16 @@ impl Decision {
 }
 
 /// Log of the likelihood ratio of a pose's turn from its track's prediction, if it is right against
-/// if it is false. In a third of a second out of sight, a neighbour may turn by as much as its
-/// mirror pose. The filter's gate allows for that.
-pub fn turn_log(found: &Alignment, predicted: &Isometry3<f64>) -> f64 {
-    let turn_rad = found.camera_from_markers.rotation.angle_to(&predicted.rotation);
+/// if it is false. `predicted` has the covariance of the prediction. Out of sight for a third of a
+/// second, a neighbour may turn by as much as its mirror pose, and the turn tells nothing.
+pub fn turn_log(found: &Alignment, predicted: &PoseEstimate) -> f64 {
+    let turn_rad =
+        found.camera_from_markers.rotation.angle_to(&predicted.camera_from_markers.rotation);
+    let predicted_sigma = rotation_deviation_rad(&predicted.covariance) / 3f64.sqrt();
+    let right = TURN_SIGMA_RAD.hypot(predicted_sigma);
     // Two normal densities in three axes.
     let density = |sigma: f64| -3.0 * sigma.ln() - 0.5 * (turn_rad / sigma).powi(2);
-    density(TURN_SIGMA_RAD) - density(FALSE_TURN_SIGMA_RAD)
+    density(right) - density(FALSE_TURN_SIGMA_RAD.max(right))
 }
 
 /// Log odds from the tilt of a pose; `is_within_limit` is `None` if no limit is known.
@@ -175,6 +177,12 @@ fn is_unambiguous(hypothesis: &Hypothesis) -> bool {
     hypothesis.alignment().is_some_and(|found| found.evidence.is_unambiguous())
 }
 
+/// Whether the picture alone proves a pose: it is precise and likely, and several facets support it,
+/// so that no mirror pose does.
+pub(crate) fn is_certain_alone(found: &Alignment) -> bool {
+    found.is_precise && found.is_accepted() && found.evidence.is_unambiguous()
+}
+
 /// Whether a pose near a prediction needs no alternative: it is precise, and likely by itself and
 /// by the prediction.
 pub(crate) fn is_certain(hypothesis: &Hypothesis) -> bool {
@@ -193,7 +201,8 @@ pub(crate) fn of_direct_pass(tried: &Hypothesis) -> Decision {
 }
 
 /// Decides about poses of a body that a confirmed track predicts. The certain one is chosen.
-/// Otherwise it is the likeliest that the prediction or decoded markers support, precise or not.
+/// Otherwise it is the likeliest that the prediction, decoded markers or several facets support,
+/// precise or not.
 pub(crate) fn of_tracked(tried: &[Hypothesis]) -> Decision {
     let mut decision = Decision::nothing(tried);
     let mut best: Option<(f64, usize)> = None;
@@ -203,7 +212,8 @@ pub(crate) fn of_tracked(tried: &[Hypothesis]) -> Decision {
             best = Some((log_odds, index));
             break;
         }
-        if is_predicted(hypothesis) || is_marked(hypothesis) {
+        let is_independent = hypothesis.alignment().is_some_and(is_certain_alone);
+        if is_predicted(hypothesis) || is_marked(hypothesis) || is_independent {
             decision.give_reason(index, Verdict::LessLikely);
             if best.is_none_or(|(most, _)| log_odds > most) {
                 best = Some((log_odds, index));
@@ -216,10 +226,7 @@ pub(crate) fn of_tracked(tried: &[Hypothesis]) -> Decision {
 
 /// Whether no other start is needed for an untracked body.
 pub(crate) fn ends_competition(last: &Hypothesis, budget: TimeBudget) -> bool {
-    budget != TimeBudget::Unlimited
-        && is_accepted(last)
-        && has_precise_pose(last)
-        && is_unambiguous(last)
+    budget != TimeBudget::Unlimited && last.alignment().is_some_and(is_certain_alone)
 }
 
 /// Whether a pose may be an untracked body's, apart from its precision.
@@ -301,7 +308,7 @@ pub(crate) fn is_precise(decision: &Decision, tried: &[Hypothesis]) -> bool {
 pub(crate) fn with_search(
     mut decision: Decision,
     tried: &[Hypothesis],
-    predicted: &Isometry3<f64>,
+    predicted: &PoseEstimate,
 ) -> Decision {
     let Some((last, searched)) = tried.iter().enumerate().next_back() else { return decision };
     let Some(searched) = searched.alignment() else {
@@ -323,15 +330,22 @@ pub(crate) fn with_search(
 }
 
 /// Whether a pose from corners is acceptable as a measurement: if enough markers fit and its
-/// covariance is small enough. With a confirmed track `min_markers` must fit.
+/// covariance is small enough. With a confirmed track `min_markers` must fit. `lead` is that of the
+/// chosen solution over all others ([`flockeye_geometry::pose::lead`]).
 pub(crate) fn of_corners(
     solution: &PoseSolution,
     is_confirmed: bool,
     min_markers: usize,
+    lead: f64,
 ) -> CornerVerdict {
     let wanted = if is_confirmed { min_markers } else { MARKERS_WITHOUT_TRACK };
     if solution.inlier_markers.len() < wanted {
         return CornerVerdict::TooFewMarkers { wanted };
+    }
+    // Corners blurred by motion favour a mirror pose by some deviations. One marker has no others
+    // that contradict it.
+    if lead < least_lead() {
+        return CornerVerdict::Ambiguous { lead };
     }
     let covariance = solution.inflated_covariance();
     if is_precise_by_corners(&covariance) {
@@ -351,7 +365,8 @@ pub(crate) fn with_corners(
     corner_poses: &[CornerPose],
 ) -> Decision {
     let of_use = |pose: &CornerPose| {
-        let is_enough = !matches!(pose.verdict, CornerVerdict::TooFewMarkers { .. });
+        let is_enough =
+            matches!(pose.verdict, CornerVerdict::Enough | CornerVerdict::TooUncertain { .. });
         pose.is_chosen
             && is_enough
             && pose.solution.inflated_covariance().iter().all(|x| x.is_finite())
@@ -385,6 +400,7 @@ pub(crate) fn measurement(
                 measured_by: MeasuredBy::Decoded,
                 markers,
                 is_precise: *verdict == CornerVerdict::Enough,
+                is_independent: false,
             })
         }
     }

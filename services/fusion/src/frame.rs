@@ -165,9 +165,10 @@ impl<P> OpenFrame<P> {
         let (purpose, stop_rule) = (self.purpose_of(view_index), self.stop_rule());
         let quality = |number: usize| {
             let target = &targets[number];
-            let (is_own, is_tracked) = (purpose == Some(Purpose::Roi(number)), target.is_tracked());
+            let is_own = purpose == Some(Purpose::Roi(number));
+            let is_known = target.is_tracked() && !target.is_stale();
             let body = &target.body;
-            let quality = ViewQuality::of(record, view, body, is_own, is_tracked, stop_rule)?;
+            let quality = ViewQuality::of(record, view, body, is_own, is_known, stop_rule)?;
             Some((number, quality))
         };
         unpublished(&self.parts).filter_map(quality).collect()

@@ -89,6 +89,11 @@ pub enum CornerVerdict {
         /// The required number.
         wanted: usize,
     },
+    /// Another pose explains the corners and the track almost as well: the lead, in log odds.
+    Ambiguous {
+        /// Log odds of the chosen pose against all others.
+        lead: f64,
+    },
     /// Its standard deviations, all axes together, are too large. It may only correct a track.
     TooUncertain {
         /// Metres.

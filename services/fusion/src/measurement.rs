@@ -8,6 +8,8 @@ use flockeye_geometry::view::{View, ViewPixel};
 use flockeye_imaging::align::Alignment;
 use nalgebra::{Unit, Vector2, Vector3};
 
+use crate::decide;
+
 /// A pose of a body, measured in one frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PoseMeasurement {
@@ -20,6 +22,9 @@ pub struct PoseMeasurement {
     /// Whether the measurement is usable by itself. If not, it only updates a track that it fits,
     /// and is published as the track's pose.
     pub is_precise: bool,
+    /// Whether the picture alone proves the measurement, by several facets. Then it may replace a
+    /// stale track.
+    pub is_independent: bool,
 }
 
 impl PoseMeasurement {
@@ -29,7 +34,13 @@ impl PoseMeasurement {
             camera_from_markers: found.camera_from_markers,
             covariance: found.covariance,
         };
-        Self { pose, measured_by: MeasuredBy::Aligned, markers, is_precise: found.is_precise }
+        Self {
+            pose,
+            measured_by: MeasuredBy::Aligned,
+            markers,
+            is_precise: found.is_precise,
+            is_independent: decide::is_certain_alone(found),
+        }
     }
 }
 

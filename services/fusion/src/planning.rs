@@ -86,13 +86,15 @@ impl Planning {
         let predicted: Vec<PredictedNeighbour> = predictions
             .iter()
             .filter_map(|(&target, prediction)| {
-                PredictedNeighbour::from_pose(
+                let known = &tracker.targets()[target];
+                let neighbour = PredictedNeighbour::from_pose(
                     target,
-                    &tracker.targets()[target].body,
+                    &known.body,
                     &prediction.camera_from_markers,
                     &prediction.pose_covariance().fixed_view::<3, 3>(0, 0).into_owned(),
                     &prediction.apparent_velocity(),
-                )
+                )?;
+                Some(PredictedNeighbour { is_stale: known.is_stale(), ..neighbour })
             })
             .collect();
         let plan = planner.plan(&self.searched, &predicted);

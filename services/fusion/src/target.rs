@@ -4,7 +4,8 @@ use flockeye_contract::{FrameOrder, MeasuredBy};
 use flockeye_geometry::body::Body;
 use flockeye_geometry::ego_rotation::EgoRotation;
 use flockeye_geometry::filter::{
-    FilterError, Happened, LifeCycle, MotionEstimate, SavedLife, TrackPolicy, TrackState,
+    FilterError, FrameMeasurement, Happened, LifeCycle, MotionEstimate, SavedLife, TrackPolicy,
+    TrackState,
 };
 use flockeye_geometry::pose::PoseEstimate;
 use nalgebra::Vector3;
@@ -125,6 +126,11 @@ impl Target {
         self.life.track().is_some()
     }
 
+    /// Whether its track was not measured for some frames, so that it may be elsewhere.
+    pub(crate) fn is_stale(&self) -> bool {
+        self.life.is_stale()
+    }
+
     /// The state of its track.
     pub fn state(&self) -> Option<TrackState> {
         self.life.state()
@@ -166,15 +172,12 @@ impl Target {
     /// The track's prediction for a frame before the frame measures it.
     pub(crate) fn prior(&self, at_s: f64, ego: &EgoRotation) -> TrackPrior {
         let Some(prediction) = self.life.predict(at_s, ego) else { return TrackPrior::Untracked };
-        let camera_from_markers = prediction.camera_from_markers;
+        let covariance = prediction.pose_covariance();
+        let prior =
+            PoseEstimate { camera_from_markers: prediction.camera_from_markers, covariance };
         match self.life.state() {
-            Some(TrackState::Confirmed | TrackState::Coasting) => {
-                let covariance = prediction.pose_covariance();
-                TrackPrior::Confirmed(PoseEstimate { camera_from_markers, covariance })
-            }
-            Some(TrackState::Tentative | TrackState::Lost) | None => {
-                TrackPrior::Tentative(camera_from_markers)
-            }
+            Some(TrackState::Confirmed | TrackState::Coasting) => TrackPrior::Confirmed(prior),
+            Some(TrackState::Tentative | TrackState::Lost) | None => TrackPrior::Tentative(prior),
         }
     }
 
@@ -208,7 +211,8 @@ impl Target {
         }
         let pose = &measurement.pose;
         let measured = measurement.is_precise.then_some((*pose, measurement.measured_by));
-        match self.life.measured(at_s, pose, ego) {
+        let is_independent = measurement.is_independent;
+        match self.life.measured(at_s, FrameMeasurement { pose: *pose, is_independent }, ego) {
             Ok(Happened::Started | Happened::Restarted) => {
                 self.track_id += 1;
                 self.estimate(at_s, measured, measurement.markers, ego)

@@ -34,6 +34,10 @@ pub const GATE_PROBABILITY: f64 = 0.999;
 /// from the last of them. A tentative track begins anew from the first.
 pub const RESTART_AFTER_GATED: u32 = 3;
 
+/// Number of frames in a row without an accepted measurement after which a track is stale: its
+/// target may be anywhere, and a measurement that is certain without the track replaces it.
+pub const STALE_AFTER_FRAMES: u32 = 3;
+
 /// The largest squared distance of a measurement that passes the gate.
 static GATE: LazyLock<f64> = LazyLock::new(|| chi_square_gate(GATE_PROBABILITY));
 
@@ -90,8 +94,24 @@ pub struct LifeCycle {
 pub(super) struct HistoryEntry {
     pub(super) stamp_s: f64,
     /// `None` if the frame did not show the neighbour.
-    pub(super) measured: Option<PoseEstimate>,
+    pub(super) measured: Option<FrameMeasurement>,
     pub(super) after: Option<Life>,
+}
+
+/// A frame's measured pose of a neighbour.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct FrameMeasurement {
+    /// The pose.
+    pub pose: PoseEstimate,
+    /// Whether the pose is certain without the track, so that it may replace a stale one.
+    pub is_independent: bool,
+}
+
+/// A pose that counts beside the track only.
+impl From<&PoseEstimate> for FrameMeasurement {
+    fn from(pose: &PoseEstimate) -> Self {
+        Self { pose: *pose, is_independent: false }
+    }
 }
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -118,6 +138,11 @@ impl LifeCycle {
     /// The filter, while the track is alive.
     pub fn track(&self) -> Option<&MotionEstimate> {
         self.life().and_then(Life::alive)
+    }
+
+    /// Whether the track had no accepted measurement in the last [`STALE_AFTER_FRAMES`] frames.
+    pub fn is_stale(&self) -> bool {
+        self.life().is_some_and(Life::is_stale)
     }
 
     /// Exposure time of the track's first measurement, seconds.
@@ -154,11 +179,12 @@ impl LifeCycle {
     pub fn measured(
         &mut self,
         stamp_s: f64,
-        measured: &PoseEstimate,
+        measured: impl Into<FrameMeasurement>,
         ego: &EgoRotation,
     ) -> Result<Happened, FilterError> {
+        let measured = measured.into();
         // A measurement must be good enough to start a track.
-        check(stamp_s, measured)?;
+        check(stamp_s, &measured.pose)?;
         let mut jumped = false;
         if let Some(newest_s) = self.too_late(stamp_s) {
             if !self.is_jump(newest_s - stamp_s) {
@@ -167,8 +193,8 @@ impl LifeCycle {
             jumped = self.track().is_some();
             self.forget();
         }
-        let (place, mut event) = self.placed(stamp_s, Some(*measured));
-        let happened = Life::measured(&mut event.after, stamp_s, measured, &self.policy, ego)?;
+        let (place, mut event) = self.placed(stamp_s, Some(measured));
+        let happened = Life::measured(&mut event.after, stamp_s, &measured, &self.policy, ego)?;
         self.insert(place, event, ego);
         Ok(if jumped { Happened::Restarted } else { happened })
     }
@@ -178,8 +204,9 @@ impl LifeCycle {
         if self.too_late(stamp_s).is_some() {
             return false;
         }
-        let (_, HistoryEntry { mut after, .. }) = self.placed(stamp_s, Some(*measured));
-        let happened = Life::measured(&mut after, stamp_s, measured, &self.policy, ego);
+        let measured = FrameMeasurement::from(measured);
+        let (_, HistoryEntry { mut after, .. }) = self.placed(stamp_s, Some(measured));
+        let happened = Life::measured(&mut after, stamp_s, &measured, &self.policy, ego);
         happened == Ok(Happened::Updated)
     }
 
@@ -251,7 +278,7 @@ impl LifeCycle {
     }
 
     /// An event and its index, with the state before it.
-    fn placed(&self, stamp_s: f64, measured: Option<PoseEstimate>) -> (usize, HistoryEntry) {
+    fn placed(&self, stamp_s: f64, measured: Option<FrameMeasurement>) -> (usize, HistoryEntry) {
         let mut event = HistoryEntry { stamp_s, measured, after: None };
         let place = self.events.partition_point(|other| other.is_before(&event));
         event.after = self.life_before(place).cloned();
@@ -280,7 +307,7 @@ impl HistoryEntry {
     /// Events of one time have an order too, so that the order of arrival does not matter.
     fn is_before(&self, other: &Self) -> bool {
         let by_measurement = || match (&self.measured, &other.measured) {
-            (Some(measured), Some(other)) => order(measured, other),
+            (Some(measured), Some(other)) => order(&measured.pose, &other.pose),
             // Events with a measurement come first.
             (measured, other) => other.is_some().cmp(&measured.is_some()),
         };
@@ -321,11 +348,15 @@ impl Life {
         (self.state != TrackState::Lost).then_some(&self.track)
     }
 
+    fn is_stale(&self) -> bool {
+        self.hits.trailing_zeros() >= STALE_AFTER_FRAMES
+    }
+
     /// Handles a measurement at `stamp_s`.
     fn measured(
         life: &mut Option<Self>,
         stamp_s: f64,
-        measured: &PoseEstimate,
+        &FrameMeasurement { pose: ref measured, is_independent }: &FrameMeasurement,
         policy: &TrackPolicy,
         ego: &EgoRotation,
     ) -> Result<Happened, FilterError> {
@@ -343,7 +374,10 @@ impl Life {
             }
             Err(FilterError::Gated { .. }) => {
                 old.gated_in_a_row += 1;
-                if old.state == TrackState::Tentative || old.gated_in_a_row >= RESTART_AFTER_GATED {
+                if old.state == TrackState::Tentative
+                    || old.gated_in_a_row >= RESTART_AFTER_GATED
+                    || (is_independent && old.is_stale())
+                {
                     *old = Self::begin(fresh, policy);
                     return Ok(Happened::Restarted);
                 }

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::life::{HistoryEntry, Life, LifeCycle};
+use super::life::{FrameMeasurement, HistoryEntry, Life, LifeCycle};
 use super::{FilterError, check};
 use crate::ego_rotation::EgoRotation;
 use crate::pose::PoseEstimate;
@@ -14,7 +14,7 @@ pub struct SavedLife {
     /// The state before the history.
     base: Option<Life>,
     /// Result of each frame of the history, with its time, seconds.
-    said: Vec<(f64, Option<PoseEstimate>)>,
+    said: Vec<(f64, Option<FrameMeasurement>)>,
 }
 
 impl LifeCycle {
@@ -56,7 +56,7 @@ impl SavedLife {
         }
         for (stamp_s, measured) in &self.said {
             match measured {
-                Some(measured) => check(*stamp_s, measured)?,
+                Some(measured) => check(*stamp_s, &measured.pose)?,
                 None if stamp_s.is_finite() => {}
                 None => return Err(FilterError::Unusable { what: "time" }),
             }
@@ -95,7 +95,7 @@ mod tests {
             ("covariance of the pose", |_, life| life.track.covariance[(0, 0)] = -1.0),
             ("start", |_, life| life.started_s = f64::NAN),
             ("order", |saved, _| saved.said[3].0 = 1e9),
-            ("measurement", |saved, _| saved.said[3].1.as_mut().unwrap().covariance *= -1.0),
+            ("measurement", |saved, _| saved.said[3].1.as_mut().unwrap().pose.covariance *= -1.0),
         ];
         let mut fresh = LifeCycle::new(TrackPolicy::default());
         for (what, spoil) in spoil {

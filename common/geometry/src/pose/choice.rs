@@ -1,6 +1,6 @@
 //! The choice between several solutions.
 
-use super::{PoseEstimate, PoseSolution, pose_difference};
+use super::{PoseEstimate, PoseSolution, is_false, pose_difference};
 
 /// Limit on the weight of a prior, so that measurements can contradict a wrong track: about this
 /// many squared standard deviations for each factor of e beyond it. It is the 99.9 % quantile of
@@ -13,6 +13,24 @@ pub fn choose<'a>(
     predicted: Option<&PoseEstimate>,
 ) -> Option<&'a PoseSolution> {
     ranked(solutions, predicted).first().map(|&(_, solution)| solution)
+}
+
+/// Log odds of the `chosen` solution against all others together that would be false if it is true.
+/// Infinite without such others. Where its rays scatter more than stated, costs count less.
+pub fn lead(
+    solutions: &[PoseSolution],
+    chosen: &PoseSolution,
+    predicted: Option<&PoseEstimate>,
+) -> f64 {
+    let cost = |solution: &PoseSolution| {
+        let prior = predicted.map_or(0.0, |prior| prior_cost(solution, prior));
+        solution.cost / chosen.reduced_chi_square.max(1.0) + prior
+    };
+    let others = solutions
+        .iter()
+        .filter(|solution| is_false(&solution.camera_from_markers, &chosen.camera_from_markers));
+    let together: f64 = others.map(|other| (0.5 * (cost(chosen) - cost(other))).exp()).sum();
+    -together.ln()
 }
 
 /// The solutions with their costs, including their distances from the prior; the cheapest comes

@@ -22,6 +22,8 @@ pub struct PredictedNeighbour {
     pub deviation_rad: f64,
     /// Apparent side of the smallest marker that is to be decoded, seen frontally, radians.
     pub marker_rad: f64,
+    /// Whether it was not measured for some frames, so that it may be elsewhere.
+    pub is_stale: bool,
 }
 
 impl PredictedNeighbour {
@@ -56,6 +58,7 @@ impl PredictedNeighbour {
             radius_rad: (radius / range).asin(),
             deviation_rad: variance.max(0.0).sqrt() / range,
             marker_rad: smallest_side / range,
+            is_stale: false,
         })
     }
 }

@@ -22,6 +22,7 @@ fn neighbour(target: usize) -> PredictedNeighbour {
         radius_rad: 0.05,
         deviation_rad: 0.01,
         marker_rad: 0.03,
+        is_stale: false,
     }
 }
 

@@ -6,7 +6,7 @@ use super::*;
 use crate::fixtures::{alignment, pose};
 use crate::hypothesis::StartSource;
 use flockeye_imaging::align::{AlignError, Evidence};
-use nalgebra::Translation3;
+use nalgebra::{Matrix6, Translation3, UnitQuaternion};
 
 /// A pose with these log odds, precise or not, `along_m` from the body's place.
 fn tried(along_m: f64, log_odds: f64, is_precise: bool) -> Hypothesis {
@@ -140,4 +140,44 @@ fn a_precise_pose_comes_first_then_one_of_the_picture() {
             || chosen == by_picture && tried == &precise[..];
         assert_eq!(measurement.map(|found| found.is_precise), chosen.map(|_| is_precise));
     }
+}
+
+#[test]
+fn a_turn_tells_less_the_less_the_track_knows() {
+    let turned = |angle: f64| {
+        let turn = UnitQuaternion::from_euler_angles(0.0, angle, 0.0);
+        alignment(turn * pose(0.9), 5.0, 1e-3)
+    };
+    let by = |angle: f64, sigma: f64| {
+        let covariance = Matrix6::identity() * sigma.powi(2);
+        turn_log(&turned(angle), &PoseEstimate { camera_from_markers: pose(0.9), covariance })
+    };
+    assert!(by(0.0, 0.0) > 2.0 && by(1.1, 0.0) < -15.0);
+    assert!(by(1.1, 0.0) < by(1.1, 0.2) && by(1.1, 0.2) < 0.0);
+    assert_eq!((by(0.0, 0.4), by(1.1, 0.4)), (0.0, 0.0), "it may have turned by as much");
+}
+
+#[test]
+fn corners_with_a_likely_mirror_pose_are_no_measurement() {
+    let solution = PoseSolution {
+        camera_from_markers: pose(0.9),
+        covariance: Matrix6::identity() * 1e-6,
+        cost: 1.0,
+        reduced_chi_square: 1.0,
+        inlier_markers: vec![3],
+        inlier_corners: 4,
+    };
+    let decided = |lead: f64| of_corners(&solution, true, 1, lead);
+    assert_eq!(decided(f64::INFINITY), CornerVerdict::Enough);
+    assert_eq!(decided(1.0), CornerVerdict::Ambiguous { lead: 1.0 });
+    let corners = [CornerPose { verdict: decided(1.0), is_chosen: true, solution }];
+    assert_eq!(with_corners(Decision::default(), &[], &corners).chosen, None);
+}
+
+#[test]
+fn several_facets_elsewhere_count_beside_a_track() {
+    let elsewhere = Hypothesis { turn_log: Some(-18.0), ..tried(0.5, 9.0, true) };
+    assert_eq!(of_tracked(std::slice::from_ref(&elsewhere)).chosen, None, "one facet may mislead");
+    let several = told_by_facets(elsewhere);
+    assert_eq!(of_tracked(&[several]).chosen, Some(PoseIndex::Hypothesis(0)));
 }

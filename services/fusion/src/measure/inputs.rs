@@ -1,7 +1,7 @@
 //! Inputs for the measurement of one target in a frame, collected once.
 
 use flockeye_geometry::body::Body;
-use flockeye_geometry::pose::{CornerRay, PoseSolution, choose, solve};
+use flockeye_geometry::pose::{CornerRay, PoseEstimate, PoseSolution, choose, lead, solve};
 use nalgebra::Isometry3;
 
 use crate::account::{Pass, Trial};
@@ -62,11 +62,17 @@ impl PassInputs<'_> {
         let solutions = solve(self.body, &self.decoded).unwrap_or_default();
         let chosen = choose(&solutions, self.prior.confirmed());
         let is_confirmed = self.prior.confirmed().is_some();
+        let lead = chosen.map_or(0.0, |chosen| lead(&solutions, chosen, self.prior.confirmed()));
         let corner_poses: Vec<CornerPose> = solutions
             .iter()
             .map(|solution| CornerPose {
                 is_chosen: chosen.is_some_and(|chosen| std::ptr::eq(chosen, solution)),
-                verdict: decide::of_corners(solution, is_confirmed, self.trial.pass.min_markers()),
+                verdict: decide::of_corners(
+                    solution,
+                    is_confirmed,
+                    self.trial.pass.min_markers(),
+                    lead,
+                ),
                 solution: solution.clone(),
             })
             .collect();
@@ -82,9 +88,9 @@ impl PassInputs<'_> {
     }
 
     /// The prediction to search around, unless that is left to the background pass.
-    fn search_round(&self) -> Option<&Isometry3<f64>> {
+    fn search_round(&self) -> Option<&PoseEstimate> {
         let may_search = self.may_search && !self.trial.is_deferred;
-        self.prior.predicted().filter(|_| may_search)
+        self.prior.estimate().filter(|_| may_search)
     }
 
     /// Compares the body with the picture, but not again from a failed start. `corners` are the
@@ -109,7 +115,7 @@ impl PassInputs<'_> {
         let sought =
             Sought { target: self.target, picture: &view.picture, starts: &starts, budget };
         let is_marked = |pose: &Isometry3<f64>| supports(self.body, &self.decoded, pose);
-        let confirmed = self.prior.confirmed().map(|prior| &prior.camera_from_markers);
+        let confirmed = self.prior.confirmed();
         // A pose must win against all starts, the deferred ones too.
         let needs_facets = is_deferred && self.prior.predicted().is_none();
         let round = self.search_round();
@@ -204,7 +210,6 @@ mod tests {
     use crate::fixtures::{aligner, alpha, error_m, facing_markers};
     use crate::measurement::{PoseMeasurement, decoded_rays, marker_ids};
     use flockeye_geometry::body::Bodies;
-    use flockeye_geometry::pose::PoseEstimate;
     use nalgebra::{Matrix6, Translation3, UnitQuaternion};
 
     /// The measurement by corners alone.

@@ -154,7 +154,13 @@ pub(crate) fn alignment(
 pub(crate) fn measurement(camera_from_markers: &Isometry3<f64>) -> PoseMeasurement {
     let covariance = Matrix6::identity() * 1e-6;
     let pose = PoseEstimate { camera_from_markers: *camera_from_markers, covariance };
-    PoseMeasurement { pose, measured_by: MeasuredBy::Decoded, markers: 2, is_precise: true }
+    PoseMeasurement {
+        pose,
+        measured_by: MeasuredBy::Decoded,
+        markers: 2,
+        is_precise: true,
+        is_independent: false,
+    }
 }
 
 /// A drawing of alpha at `pose`.

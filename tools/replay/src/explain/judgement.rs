@@ -306,6 +306,9 @@ fn by_corners(known: &FrameKnowledge) -> Option<(DecisiveStep, String)> {
         CornerVerdict::TooFewMarkers { wanted } => format!(
             "{agreeing} markers agree on a pose and {wanted} are needed, because the picture confirmed none"
         ),
+        CornerVerdict::Ambiguous { lead } => format!(
+            "another pose explains its corners almost as well (log odds {lead:.1}), and the picture confirmed neither"
+        ),
         CornerVerdict::TooUncertain { position_m, rotation_rad } => format!(
             "the corners of its markers leave the pose too uncertain ({:.0} mm, {:.1} degrees), and the picture confirmed none",
             position_m * 1e3,

@@ -88,6 +88,9 @@ fn corner_facts(frames: &Mounting<'_>, trial: &Trial, pose: &CornerPose) -> Corn
             CornerVerdict::TooFewMarkers { wanted } => {
                 format!("{} markers agree, {wanted} are needed without the picture", agreeing.len())
             }
+            CornerVerdict::Ambiguous { lead } => {
+                format!("ambiguous without the picture: its log odds against others are {lead:.1}")
+            }
             CornerVerdict::TooUncertain { position_m, rotation_rad } => format!(
                 "too uncertain without the picture: {:.0} mm, {:.1} degrees",
                 position_m * 1e3,

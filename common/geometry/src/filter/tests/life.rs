@@ -36,6 +36,29 @@ fn a_neighbour_is_believed_coasts_and_is_lost() {
 }
 
 #[test]
+fn a_stale_track_begins_anew_from_an_independent_pose() {
+    let (pose, other) =
+        (Isometry3::translation(1.0, 0.0, 0.0), Isometry3::translation(-9.0, 0.0, 0.0));
+    let independent = FrameMeasurement { is_independent: true, ..(&found(other)).into() };
+    for unseen in 0..6 {
+        let mut life = life();
+        (0..5).for_each(|k| {
+            let _ = life.measured(frame(k), &found(pose), &still()).unwrap();
+        });
+        (5..5 + unseen).for_each(|k| {
+            let _ = life.unseen(frame(k), &still());
+        });
+        let is_stale = unseen >= STALE_AFTER_FRAMES as i32;
+        assert_eq!(life.is_stale(), is_stale, "{unseen}");
+        let mut gated = life.clone();
+        let now = frame(5 + unseen);
+        assert_eq!(gated.measured(now, &found(other), &still()).unwrap(), Happened::Gated);
+        let expected = if is_stale { Happened::Restarted } else { Happened::Gated };
+        assert_eq!(life.measured(now, independent, &still()).unwrap(), expected, "{unseen}");
+    }
+}
+
+#[test]
 fn a_single_sighting_is_soon_forgotten() {
     let mut life = life();
     life.measured(frame(0), &found(Isometry3::translation(1.0, 0.0, 0.0)), &still()).unwrap();
