@@ -288,8 +288,8 @@ impl Planner {
     }
 
     /// One region of interest for each neighbour, least recently searched first (ties by the
-    /// neighbours' own order). Then the proposals, where a target is not tracked or stale. Then the tiles of
-    /// both resolutions in turn, least recently searched first.
+    /// neighbours' own order). Then the proposals, where a target is untracked or stale. Then the
+    /// tiles of both resolutions in turn, least recently searched first.
     ///
     /// After [`MAX_FRAMES_WITHOUT_TILE`] frames without a tile, the first tile comes before the
     /// proposals. A target that is never proposed must be found too.

@@ -179,7 +179,7 @@ fn is_unambiguous(hypothesis: &Hypothesis) -> bool {
 
 /// Whether the picture alone proves a pose: it is precise and likely, and several facets support it,
 /// so that no mirror pose does.
-pub(crate) fn is_certain_alone(found: &Alignment) -> bool {
+pub(crate) fn is_proven(found: &Alignment) -> bool {
     found.is_precise && found.is_accepted() && found.evidence.is_unambiguous()
 }
 
@@ -212,8 +212,8 @@ pub(crate) fn of_tracked(tried: &[Hypothesis]) -> Decision {
             best = Some((log_odds, index));
             break;
         }
-        let is_independent = hypothesis.alignment().is_some_and(is_certain_alone);
-        if is_predicted(hypothesis) || is_marked(hypothesis) || is_independent {
+        let is_alone_enough = hypothesis.alignment().is_some_and(is_proven);
+        if is_predicted(hypothesis) || is_marked(hypothesis) || is_alone_enough {
             decision.give_reason(index, Verdict::LessLikely);
             if best.is_none_or(|(most, _)| log_odds > most) {
                 best = Some((log_odds, index));
@@ -226,7 +226,7 @@ pub(crate) fn of_tracked(tried: &[Hypothesis]) -> Decision {
 
 /// Whether no other start is needed for an untracked body.
 pub(crate) fn ends_competition(last: &Hypothesis, budget: TimeBudget) -> bool {
-    budget != TimeBudget::Unlimited && last.alignment().is_some_and(is_certain_alone)
+    budget != TimeBudget::Unlimited && last.alignment().is_some_and(is_proven)
 }
 
 /// Whether a pose may be an untracked body's, apart from its precision.
@@ -330,8 +330,8 @@ pub(crate) fn with_search(
 }
 
 /// Whether a pose from corners is acceptable as a measurement: if enough markers fit and its
-/// covariance is small enough. With a confirmed track `min_markers` must fit. `lead` is that of the
-/// chosen solution over all others ([`flockeye_geometry::pose::lead`]).
+/// covariance is small enough. With a confirmed track `min_markers` must fit. `lead` is its
+/// own over all others ([`flockeye_geometry::pose::lead`]).
 pub(crate) fn of_corners(
     solution: &PoseSolution,
     is_confirmed: bool,
@@ -400,7 +400,7 @@ pub(crate) fn measurement(
                 measured_by: MeasuredBy::Decoded,
                 markers,
                 is_precise: *verdict == CornerVerdict::Enough,
-                is_independent: false,
+                is_proven: false,
             })
         }
     }

@@ -166,9 +166,9 @@ impl<P> OpenFrame<P> {
         let quality = |number: usize| {
             let target = &targets[number];
             let is_own = purpose == Some(Purpose::Roi(number));
-            let is_known = target.is_tracked() && !target.is_stale();
+            let is_followed = target.is_tracked() && !target.is_stale();
             let body = &target.body;
-            let quality = ViewQuality::of(record, view, body, is_own, is_known, stop_rule)?;
+            let quality = ViewQuality::of(record, view, body, is_own, is_followed, stop_rule)?;
             Some((number, quality))
         };
         unpublished(&self.parts).filter_map(quality).collect()

@@ -22,9 +22,9 @@ pub struct PoseMeasurement {
     /// Whether the measurement is usable by itself. If not, it only updates a track that it fits,
     /// and is published as the track's pose.
     pub is_precise: bool,
-    /// Whether the picture alone proves the measurement, by several facets. Then it may replace a
-    /// stale track.
-    pub is_independent: bool,
+    /// Whether the picture alone proves the pose, by several facets. Then it may replace a stale
+    /// track.
+    pub is_proven: bool,
 }
 
 impl PoseMeasurement {
@@ -39,7 +39,7 @@ impl PoseMeasurement {
             measured_by: MeasuredBy::Aligned,
             markers,
             is_precise: found.is_precise,
-            is_independent: decide::is_certain_alone(found),
+            is_proven: decide::is_proven(found),
         }
     }
 }

@@ -181,15 +181,14 @@ impl Target {
         }
     }
 
-    /// Whether a measurement passes the track's gate.
-    pub(crate) fn is_inside_gate(
+    /// Whether the track accepts a measurement: it passes the gate, or replaces a stale track.
+    pub(crate) fn accepts(
         &self,
         at_s: f64,
         measurement: &PoseMeasurement,
         ego: &EgoRotation,
     ) -> bool {
-        let pose = &measurement.pose;
-        self.life.fits(at_s, pose, ego)
+        self.life.accepts(at_s, &in_life(measurement), ego)
     }
 
     /// Filters anew from a time, because the camera's rotation since then is known better.
@@ -206,13 +205,12 @@ impl Target {
         measurement: &PoseMeasurement,
         ego: &EgoRotation,
     ) -> Option<TargetEstimate> {
-        if !may_enter_track(measurement, || self.is_inside_gate(at_s, measurement, ego)) {
+        if !may_enter_track(measurement, || self.accepts(at_s, measurement, ego)) {
             return None;
         }
         let pose = &measurement.pose;
         let measured = measurement.is_precise.then_some((*pose, measurement.measured_by));
-        let is_independent = measurement.is_independent;
-        match self.life.measured(at_s, FrameMeasurement { pose: *pose, is_independent }, ego) {
+        match self.life.measured(at_s, &in_life(measurement), ego) {
             Ok(Happened::Started | Happened::Restarted) => {
                 self.track_id += 1;
                 self.estimate(at_s, measured, measurement.markers, ego)
@@ -269,6 +267,11 @@ impl Target {
             track_id: self.track_id,
         })
     }
+}
+
+/// A measurement as the track's life takes it.
+fn in_life(measurement: &PoseMeasurement) -> FrameMeasurement {
+    FrameMeasurement { pose: measurement.pose, is_proven: measurement.is_proven }
 }
 
 #[cfg(test)]

@@ -35,7 +35,7 @@ pub const GATE_PROBABILITY: f64 = 0.999;
 pub const RESTART_AFTER_GATED: u32 = 3;
 
 /// Number of frames in a row without an accepted measurement after which a track is stale: its
-/// target may be anywhere, and a measurement that is certain without the track replaces it.
+/// target may be anywhere, and a measurement that the picture alone proves replaces it.
 pub const STALE_AFTER_FRAMES: u32 = 3;
 
 /// The largest squared distance of a measurement that passes the gate.
@@ -103,15 +103,8 @@ pub(super) struct HistoryEntry {
 pub struct FrameMeasurement {
     /// The pose.
     pub pose: PoseEstimate,
-    /// Whether the pose is certain without the track, so that it may replace a stale one.
-    pub is_independent: bool,
-}
-
-/// A pose that counts beside the track only.
-impl From<&PoseEstimate> for FrameMeasurement {
-    fn from(pose: &PoseEstimate) -> Self {
-        Self { pose: *pose, is_independent: false }
-    }
+    /// Whether the picture alone proves the pose, so that it may replace a stale track.
+    pub is_proven: bool,
 }
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -179,10 +172,9 @@ impl LifeCycle {
     pub fn measured(
         &mut self,
         stamp_s: f64,
-        measured: impl Into<FrameMeasurement>,
+        measured: &FrameMeasurement,
         ego: &EgoRotation,
     ) -> Result<Happened, FilterError> {
-        let measured = measured.into();
         // A measurement must be good enough to start a track.
         check(stamp_s, &measured.pose)?;
         let mut jumped = false;
@@ -193,21 +185,24 @@ impl LifeCycle {
             jumped = self.track().is_some();
             self.forget();
         }
-        let (place, mut event) = self.placed(stamp_s, Some(measured));
-        let happened = Life::measured(&mut event.after, stamp_s, &measured, &self.policy, ego)?;
+        let (place, mut event) = self.placed(stamp_s, Some(*measured));
+        let happened = Life::measured(&mut event.after, stamp_s, measured, &self.policy, ego)?;
         self.insert(place, event, ego);
         Ok(if jumped { Happened::Restarted } else { happened })
     }
 
-    /// Whether a measurement at `stamp_s` would update the track because it lies inside the gate.
-    pub fn fits(&self, stamp_s: f64, measured: &PoseEstimate, ego: &EgoRotation) -> bool {
+    /// Whether the track would accept a measurement at `stamp_s`: it lies inside the gate, or it is
+    /// proven and the track begins anew from it.
+    pub fn accepts(&self, stamp_s: f64, measured: &FrameMeasurement, ego: &EgoRotation) -> bool {
         if self.too_late(stamp_s).is_some() {
             return false;
         }
-        let measured = FrameMeasurement::from(measured);
-        let (_, HistoryEntry { mut after, .. }) = self.placed(stamp_s, Some(measured));
-        let happened = Life::measured(&mut after, stamp_s, &measured, &self.policy, ego);
-        happened == Ok(Happened::Updated)
+        let (_, HistoryEntry { mut after, .. }) = self.placed(stamp_s, Some(*measured));
+        match Life::measured(&mut after, stamp_s, measured, &self.policy, ego) {
+            Ok(Happened::Updated) => true,
+            Ok(Happened::Restarted) => measured.is_proven,
+            Ok(Happened::Started | Happened::Gated) | Err(_) => false,
+        }
     }
 
     /// Handles a frame exposed at `stamp_s` without a measurement of the neighbour, although all
@@ -356,7 +351,7 @@ impl Life {
     fn measured(
         life: &mut Option<Self>,
         stamp_s: f64,
-        &FrameMeasurement { pose: ref measured, is_independent }: &FrameMeasurement,
+        FrameMeasurement { pose: measured, is_proven }: &FrameMeasurement,
         policy: &TrackPolicy,
         ego: &EgoRotation,
     ) -> Result<Happened, FilterError> {
@@ -376,7 +371,7 @@ impl Life {
                 old.gated_in_a_row += 1;
                 if old.state == TrackState::Tentative
                     || old.gated_in_a_row >= RESTART_AFTER_GATED
-                    || (is_independent && old.is_stale())
+                    || (*is_proven && old.is_stale())
                 {
                     *old = Self::begin(fresh, policy);
                     return Ok(Happened::Restarted);

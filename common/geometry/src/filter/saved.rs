@@ -80,10 +80,11 @@ mod tests {
     fn a_track_with_numbers_that_are_not_finite_is_refused() {
         let ego = EgoRotation::new(2.0);
         let mut known = LifeCycle::new(TrackPolicy::default());
-        let measured = PoseEstimate {
+        let pose = PoseEstimate {
             camera_from_markers: Isometry3::translation(1.0, 0.0, 0.0),
             covariance: Matrix6::identity() * 1e-4,
         };
+        let measured = FrameMeasurement { pose, is_proven: false };
         for k in 0..30 {
             known.measured(f64::from(k) / 30.0, &measured, &ego).unwrap();
         }

@@ -331,8 +331,9 @@ fn a_turn_that_is_known_late_counts_as_if_known_in_time() {
     for (k, turn) in turns.iter().enumerate() {
         let seen = seen_at(&turns[..=k], &world);
         ego.add(turn);
-        in_time.measured(turn.later_s, &found(seen), &ego).unwrap();
-        late.measured(turn.later_s, &found(seen), &late_ego).unwrap();
+        let measured = FrameMeasurement { pose: found(seen), is_proven: false };
+        in_time.measured(turn.later_s, &measured, &ego).unwrap();
+        late.measured(turn.later_s, &measured, &late_ego).unwrap();
         late_ego.add(turn);
         late.refilter(turn.earlier_s, &late_ego);
     }

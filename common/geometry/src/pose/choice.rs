@@ -15,21 +15,19 @@ pub fn choose<'a>(
     ranked(solutions, predicted).first().map(|&(_, solution)| solution)
 }
 
-/// Log odds of the `chosen` solution against all others together that would be false if it is true.
-/// Infinite without such others. Where its rays scatter more than stated, costs count less.
+/// Log odds of the solution `one` against all others together that would be false if it is true.
+/// Infinite without such others. Where its rays scatter more than stated, their costs count less.
 pub fn lead(
     solutions: &[PoseSolution],
-    chosen: &PoseSolution,
+    one: &PoseSolution,
     predicted: Option<&PoseEstimate>,
 ) -> f64 {
-    let cost = |solution: &PoseSolution| {
-        let prior = predicted.map_or(0.0, |prior| prior_cost(solution, prior));
-        solution.cost / chosen.reduced_chi_square.max(1.0) + prior
-    };
-    let others = solutions
+    let scatter = one.reduced_chi_square.max(1.0);
+    let cost = |solution: &PoseSolution| solution.cost / scatter + prior_cost(solution, predicted);
+    let rivals = solutions
         .iter()
-        .filter(|solution| is_false(&solution.camera_from_markers, &chosen.camera_from_markers));
-    let together: f64 = others.map(|other| (0.5 * (cost(chosen) - cost(other))).exp()).sum();
+        .filter(|other| is_false(&other.camera_from_markers, &one.camera_from_markers));
+    let together: f64 = rivals.map(|rival| (0.5 * (cost(one) - cost(rival))).exp()).sum();
     -together.ln()
 }
 
@@ -41,17 +39,15 @@ pub(super) fn ranked<'a>(
 ) -> Vec<(f64, &'a PoseSolution)> {
     let mut ranked: Vec<(f64, &PoseSolution)> = solutions
         .iter()
-        .map(|solution| {
-            let prior = predicted.map_or(0.0, |prior| prior_cost(solution, prior));
-            (solution.cost + prior, solution)
-        })
+        .map(|solution| (solution.cost + prior_cost(solution, predicted), solution))
         .collect();
     ranked.sort_by(|a, b| a.0.total_cmp(&b.0));
     ranked
 }
 
-/// Robust squared Mahalanobis distance between a solution and a prior.
-fn prior_cost(solution: &PoseSolution, prior: &PoseEstimate) -> f64 {
+/// Robust squared Mahalanobis distance between a solution and a prior; 0 without a prior.
+fn prior_cost(solution: &PoseSolution, predicted: Option<&PoseEstimate>) -> f64 {
+    let Some(prior) = predicted else { return 0.0 };
     let difference = pose_difference(&solution.camera_from_markers, &prior.camera_from_markers);
     let covariance = prior.covariance + solution.inflated_covariance();
     // A matrix that is no covariance has no weight.

@@ -393,7 +393,8 @@ fn a_single_far_marker_keeps_both_mirrors_until_the_track_decides() {
     }));
     let undecided = margin_and_ratio(&solutions, None);
     assert!(undecided.0 < 9.0, "{undecided:?}");
-    assert!(lead(&solutions, &solutions[0], None) < 4.5);
+    let clear = 120f64.ln();
+    assert!(lead(&solutions, &solutions[0], None) < clear);
     assert_eq!(lead(&solutions[..1], &solutions[0], None), f64::INFINITY, "it has no rival");
     // Whichever of them is expected is chosen, and then without doubt.
     for expected in &solutions {
@@ -403,7 +404,9 @@ fn a_single_far_marker_keeps_both_mirrors_until_the_track_decides() {
         };
         let choice = choose(&solutions, Some(&prior)).unwrap();
         assert_eq!(choice, expected);
-        assert!(lead(&solutions, choice, Some(&prior)) > 4.5);
+        let [chosen, other] = [choice, solutions.iter().find(|other| *other != choice).unwrap()]
+            .map(|one| lead(&solutions, one, Some(&prior)));
+        assert!(chosen > clear && other < 0.0, "{chosen}, {other}");
         let (margin, ratio) = margin_and_ratio(&solutions, Some(&prior));
         assert!(margin > 9.0 && ratio < 0.9, "{choice:?}");
     }

@@ -28,11 +28,13 @@ pub(crate) struct HeldViews<P> {
 pub(crate) struct ViewQuality {
     /// Whether the view is this target's region of interest.
     pub(crate) is_own: bool,
+    /// Whether the target has a track that is not stale. Then its region of interest comes first.
+    pub(crate) is_followed: bool,
     /// Decoded markers of the target. Squares that only look like markers are found in many views,
     /// so they do not count.
     pub(crate) decoded: u32,
     /// Squares that only look like its markers and fit one pose of it, if nothing was decoded and
-    /// there is no track.
+    /// there is no track, or a stale one.
     pub(crate) agreeing: u32,
     /// Its focal length, pixels.
     pub(crate) focal_px: f64,
@@ -43,21 +45,22 @@ pub(crate) struct ViewQuality {
 }
 
 impl ViewQuality {
-    /// Score of a view for a body, from its detections. `None` if it is not the body's own region
-    /// and shows no marker of it.
+    /// Score of a view for a body, from its detections. `is_own`: it is the body's region of
+    /// interest. `is_followed`: the body has a track that is not stale. `None` if it is not the
+    /// body's own region and shows no marker of it.
     pub(crate) fn of(
         record: &Record,
         view: &ViewHeader,
         body: &Body,
         is_own: bool,
-        is_tracked: bool,
+        is_followed: bool,
         stop_rule: StopRule,
     ) -> Option<Self> {
         let middle = (f64::from(view.size_px) - 1.0) / 2.0;
         let of_body = record.markers.iter().filter(|marker| body.marker(marker.id).is_some());
         let decoded = of_body.clone().filter(|marker| marker.is_decoded()).count() as u32;
         let counted = of_body.filter(|marker| marker.is_decoded() || decoded == 0);
-        let agreeing = match decoded == 0 && !is_tracked {
+        let agreeing = match decoded == 0 && !is_followed {
             true => agreeing_candidates(body, &candidate_rays(body, &record.markers)),
             false => 0,
         };
@@ -77,21 +80,23 @@ impl ViewQuality {
                     _ => (sum[0] / count - middle).hypot(sum[1] / count - middle),
                 };
                 let (focal_px, off_centre) = (view.focal_px, off_px / view.focal_px);
-                Self { is_own, decoded, agreeing, focal_px, off_centre, view_index }
+                Self { is_own, is_followed, decoded, agreeing, focal_px, off_centre, view_index }
             }
             // Views beyond the first hit are ignored, so the earliest view must win.
             StopRule::FirstHit => {
                 let (decoded, agreeing, focal_px, off_centre) = (0, 0, 0.0, 0.0);
-                Self { is_own: false, decoded, agreeing, focal_px, off_centre, view_index }
+                let is_own = false;
+                Self { is_own, is_followed, decoded, agreeing, focal_px, off_centre, view_index }
             }
         })
     }
 
     fn is_above(&self, other: &Self) -> bool {
-        self.is_own
-            .cmp(&other.is_own)
+        (self.is_own && self.is_followed)
+            .cmp(&(other.is_own && other.is_followed))
             .then(self.decoded.cmp(&other.decoded))
             .then(self.agreeing.cmp(&other.agreeing))
+            .then(self.is_own.cmp(&other.is_own))
             .then(self.focal_px.total_cmp(&other.focal_px))
             .then(other.off_centre.total_cmp(&self.off_centre))
             .then(other.view_index.cmp(&self.view_index))
@@ -133,7 +138,16 @@ mod tests {
     }
 
     fn quality(is_own: bool, focal_px: f64, off_centre: f64, view_index: u32) -> ViewQuality {
-        ViewQuality { is_own, decoded: 0, agreeing: 0, focal_px, off_centre, view_index }
+        let is_followed = true;
+        ViewQuality {
+            is_own,
+            is_followed,
+            decoded: 0,
+            agreeing: 0,
+            focal_px,
+            off_centre,
+            view_index,
+        }
     }
 
     #[test]
@@ -164,5 +178,16 @@ mod tests {
         assert!(markers.is_above(&squares) && !squares.is_above(&markers));
         let agreeing = ViewQuality { agreeing: 2, ..quality(false, 611.0, 0.4, 2) };
         assert!(agreeing.is_above(&squares) && markers.is_above(&agreeing));
+    }
+
+    #[test]
+    fn markers_elsewhere_rank_above_the_region_of_a_stale_target() {
+        let own = quality(true, 900.0, 0.0, 0);
+        let squares = quality(false, 1200.0, 0.0, 1);
+        let markers = ViewQuality { decoded: 1, ..squares };
+        assert!(own.is_above(&markers), "a followed target is in its region");
+        let [own, squares, markers] =
+            [own, squares, markers].map(|quality| ViewQuality { is_followed: false, ..quality });
+        assert!(markers.is_above(&own) && own.is_above(&squares));
     }
 }

@@ -62,7 +62,6 @@ impl PassInputs<'_> {
         let solutions = solve(self.body, &self.decoded).unwrap_or_default();
         let chosen = choose(&solutions, self.prior.confirmed());
         let is_confirmed = self.prior.confirmed().is_some();
-        let lead = chosen.map_or(0.0, |chosen| lead(&solutions, chosen, self.prior.confirmed()));
         let corner_poses: Vec<CornerPose> = solutions
             .iter()
             .map(|solution| CornerPose {
@@ -71,7 +70,7 @@ impl PassInputs<'_> {
                     solution,
                     is_confirmed,
                     self.trial.pass.min_markers(),
-                    lead,
+                    lead(&solutions, solution, self.prior.confirmed()),
                 ),
                 solution: solution.clone(),
             })

@@ -50,7 +50,7 @@ impl Tracker {
     }
 
     /// Handles the result of a background pass, and returns its outcome. After the end of its
-    /// frame, the pose must fit the track or begin one, and nothing of it is published.
+    /// frame, the pose must fit the track, replace it or begin one, and nothing of it is published.
     fn take_in_answer(
         &mut self,
         &UnderWay { time, target, rays_m, .. }: &UnderWay,
@@ -76,9 +76,9 @@ impl Tracker {
             part.into_iter().for_each(|part| part.imprecise = Some(measurement));
             return (None, Outcome::Imprecise(measurement));
         }
-        let is_inside_gate =
-            || self.targets[target].is_inside_gate(time.at_s, &measurement, &self.camera.ego);
-        if is_late && !may_begin_track && !is_inside_gate() {
+        let is_accepted =
+            || self.targets[target].accepts(time.at_s, &measurement, &self.camera.ego);
+        if is_late && !may_begin_track && !is_accepted() {
             return (None, Outcome::OutsideGate(measurement));
         }
         let (update, outcome) = self.take_in(time, target, part, measurement);

@@ -65,7 +65,7 @@ impl Tracker {
             (self.corrected(found, rays_m, target, time.at_s), pose)
         });
         let accepted = measured.filter(|(measurement, _)| {
-            self.targets[target].is_inside_gate(time.at_s, measurement, &self.camera.ego)
+            self.targets[target].accepts(time.at_s, measurement, &self.camera.ego)
         });
         let found = trial.hypotheses.first().and_then(Hypothesis::alignment);
         if let (Some(_), Some(stretch_px2)) = (&accepted, found.and_then(|it| it.stretch_px2)) {

@@ -159,7 +159,7 @@ pub(crate) fn measurement(camera_from_markers: &Isometry3<f64>) -> PoseMeasureme
         measured_by: MeasuredBy::Decoded,
         markers: 2,
         is_precise: true,
-        is_independent: false,
+        is_proven: false,
     }
 }
 

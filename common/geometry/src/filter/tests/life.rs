@@ -2,6 +2,11 @@
 
 use super::*;
 
+/// A pose that the picture alone does not prove.
+fn found(pose: Isometry3<f64>) -> FrameMeasurement {
+    FrameMeasurement { pose: super::found(pose), is_proven: false }
+}
+
 fn frame(k: i32) -> f64 {
     10.0 + f64::from(k) * 0.1
 }
@@ -36,10 +41,10 @@ fn a_neighbour_is_believed_coasts_and_is_lost() {
 }
 
 #[test]
-fn a_stale_track_begins_anew_from_an_independent_pose() {
+fn a_stale_track_begins_anew_from_a_proven_pose() {
     let (pose, other) =
         (Isometry3::translation(1.0, 0.0, 0.0), Isometry3::translation(-9.0, 0.0, 0.0));
-    let independent = FrameMeasurement { is_independent: true, ..(&found(other)).into() };
+    let proven = FrameMeasurement { is_proven: true, ..found(other) };
     for unseen in 0..6 {
         let mut life = life();
         (0..5).for_each(|k| {
@@ -52,9 +57,11 @@ fn a_stale_track_begins_anew_from_an_independent_pose() {
         assert_eq!(life.is_stale(), is_stale, "{unseen}");
         let mut gated = life.clone();
         let now = frame(5 + unseen);
+        assert!(!gated.accepts(now, &found(other), &still()));
         assert_eq!(gated.measured(now, &found(other), &still()).unwrap(), Happened::Gated);
         let expected = if is_stale { Happened::Restarted } else { Happened::Gated };
-        assert_eq!(life.measured(now, independent, &still()).unwrap(), expected, "{unseen}");
+        assert_eq!(life.accepts(now, &proven, &still()), is_stale, "{unseen}");
+        assert_eq!(life.measured(now, &proven, &still()).unwrap(), expected, "{unseen}");
     }
 }
 
@@ -76,13 +83,13 @@ fn a_wrong_track_begins_anew_from_what_contradicts_it() {
         life.measured(frame(k), &found(pose), &still()).unwrap();
     }
     for k in 5..7 {
-        assert!(life.fits(frame(k), &found(pose), &still()));
-        assert!(!life.fits(frame(k), &found(other), &still()));
+        assert!(life.accepts(frame(k), &found(pose), &still()));
+        assert!(!life.accepts(frame(k), &found(other), &still()));
         let happened = life.measured(frame(k), &found(other), &still()).unwrap();
         assert!(matches!(happened, Happened::Gated));
         assert_eq!(life.state(), Some(TrackState::Coasting));
     }
-    assert!(!life.fits(frame(7), &found(other), &still()), "it would begin anew");
+    assert!(!life.accepts(frame(7), &found(other), &still()), "it would begin anew");
     assert_eq!(life.measured(frame(7), &found(other), &still()).unwrap(), Happened::Restarted);
     assert_eq!(life.state(), Some(TrackState::Tentative));
     assert_eq!(life.track().unwrap().camera_from_markers, other);

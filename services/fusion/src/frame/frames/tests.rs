@@ -153,6 +153,7 @@ fn a_flood_of_frames_is_bounded() {
 fn own(view_index: u32) -> Vec<(usize, ViewQuality)> {
     let quality = ViewQuality {
         is_own: true,
+        is_followed: true,
         decoded: 0,
         agreeing: 0,
         focal_px: 1.0,
