@@ -147,7 +147,7 @@ class Swarm:
         self.refused = 0
         self.alive = set()
         self._last = {}
-        # Not a `queue.Queue`: Ctrl-C within its `get` can leave its lock taken, and `close` then waits for ever.
+        # Its `put` is reentrant, unlike that of `queue.Queue`.
         self._waiting = queue.SimpleQueue()
         self._room = waiting
         config = zenoh.Config()

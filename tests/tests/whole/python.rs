@@ -216,7 +216,9 @@ fn a_peer_in_python_hears_where_the_neighbour_is() {
     let mut settings = SMALL_FLIGHT.to_vec();
     settings.extend(["gateway.enabled=true", &listen, &name]);
     let mut flight = Flight::with_poses("peerpy", &[], &settings);
-    let mut command = Command::new(&python);
+    // A shell's background jobs ignore SIGINT, and Python leaves it so.
+    let mut command = Command::new("env");
+    command.arg("--default-signal=INT").arg(&python);
     command.arg(example("peers.py")).args([&endpoint, &swarm]);
     let mut peer = Flight::launch(&unique("peerpy"), command);
     peer.wait_for("observer sees alpha at ");
