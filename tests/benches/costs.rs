@@ -15,7 +15,7 @@ use flockeye_geometry::body::{Bodies, Body, squares};
 use flockeye_geometry::camera::Camera;
 use flockeye_geometry::mask::Mask;
 use flockeye_geometry::partition::Partition;
-use flockeye_geometry::pose::{CornerRay, PoseEstimate, PoseSolution, solve};
+use flockeye_geometry::pose::{CornerRay, PoseSolution, solve};
 use flockeye_geometry::view::View;
 use flockeye_imaging::align::Picture;
 use flockeye_imaging::edges::CornerFit;
@@ -28,7 +28,7 @@ use flockeye_imaging::sphere::{Cut, SphereImage};
 use flockeye_rectification::cpu::CpuRectifier;
 use flockeye_rectification::rectifier::Rectifier as _;
 use flockeye_simulator::{Attitude, Moment, Placement, World, WorldParameters};
-use nalgebra::{Isometry3, Matrix6, Translation3, Unit, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Translation3, Unit, UnitQuaternion, Vector3};
 
 const DICTIONARY: &str = "DICT_5X5_250";
 const WIDTH: u32 = 3840;
@@ -176,7 +176,6 @@ fn region(
         Translation3::from(truth.translation.vector * 1.003),
         UnitQuaternion::from_euler_angles(0.005, 0.004, -0.006) * truth.rotation,
     );
-    let track = PoseEstimate { camera_from_markers: predicted, covariance: Matrix6::zeros() };
     let unknown = |_: &Isometry3<f64>| false;
     for _ in 0..rounds {
         timed(&mut costs.direct_pass, 1.0, || aligner.align(0, &picture, &Start::Fine(predicted)));
@@ -188,7 +187,7 @@ fn region(
         let (picture, budget) = (&picture, TimeBudget::OneFrame);
         timed(&mut costs.corner_pass, 1.0, || {
             let sought = Sought { target: 0, picture, starts: &from_corners(), budget };
-            aligner.confirm(&sought, &track, unknown, &mut Vec::new())
+            aligner.confirm(&sought, &predicted, unknown, &mut Vec::new())
         });
         timed(&mut costs.initiation, 1.0, || {
             let sought = Sought { target: 0, picture, starts: &from_corners(), budget };

@@ -9,7 +9,6 @@
 use std::sync::{Arc, OnceLock};
 
 use flockeye_geometry::body::{Bodies, Body};
-use flockeye_geometry::pose::PoseEstimate;
 use flockeye_imaging::align::{
     AlignError, AlignOptions, Alignment, BodyPrint, Motion, Picture, Place, PrintError, Templates,
     align, reacquire, starts_at,
@@ -145,9 +144,9 @@ impl Aligner {
         &self,
         sought: &Sought<'_>,
         is_marked: impl Fn(&Isometry3<f64>) -> bool,
-        confirmed: Option<&PoseEstimate>,
+        confirmed: Option<&Isometry3<f64>>,
         needs_facets: bool,
-        round: Option<&PoseEstimate>,
+        round: Option<&Isometry3<f64>>,
         tried: &mut Vec<Hypothesis>,
     ) -> Decision {
         let decision = match confirmed {
@@ -169,7 +168,7 @@ impl Aligner {
     pub fn confirm(
         &self,
         sought: &Sought<'_>,
-        predicted: &PoseEstimate,
+        predicted: &Isometry3<f64>,
         is_marked: impl Fn(&Isometry3<f64>) -> bool,
         tried: &mut Vec<Hypothesis>,
     ) -> Decision {
@@ -269,15 +268,13 @@ impl Aligner {
         decision: Decision,
         target: usize,
         picture: &Picture<'_>,
-        predicted: &PoseEstimate,
+        predicted: &Isometry3<f64>,
         tried: &mut Vec<Hypothesis>,
     ) -> Decision {
         if decide::is_precise(&decision, tried) {
             return decision;
         }
-        let found = self
-            .reacquire(target, picture, &predicted.camera_from_markers)
-            .ok_or(AlignError::Nothing);
+        let found = self.reacquire(target, picture, predicted).ok_or(AlignError::Nothing);
         tried.push(Hypothesis::of(StartSource::Search, found));
         decide::with_search(decision, tried, predicted)
     }

@@ -25,6 +25,7 @@ use flockeye_geometry::pose::{
     PoseEstimate, PoseSolution, is_false, position_deviation_m, rotation_deviation_rad,
 };
 use flockeye_imaging::align::{Alignment, is_precise_by_corners, least_lead};
+use nalgebra::Isometry3;
 
 use crate::hypothesis::{CornerPose, CornerVerdict, Hypothesis, StartSource};
 use crate::measurement::PoseMeasurement;
@@ -32,8 +33,8 @@ use crate::policy::TimeBudget;
 
 /// Log of the prior probability of a pose beyond the tilt limit: one in a thousand.
 const TILTED_LOG: f64 = -6.9;
-/// Least standard deviation about each axis of a right pose's rotation from its track's prediction,
-/// radians. The filter may know it to be larger.
+/// Standard deviation about each axis of a right pose's rotation from its track's prediction,
+/// radians.
 const TURN_SIGMA_RAD: f64 = 0.15;
 /// Standard deviation of a false pose's rotation from its start, radians, where no body is. Half of
 /// those with log odds above 1 had turned by more than 0.46 (docs/results/decisions.md).
@@ -129,16 +130,13 @@ impl Decision {
 }
 
 /// Log of the likelihood ratio of a pose's turn from its track's prediction, if it is right against
-/// if it is false. `predicted` has the covariance of the prediction. Out of sight for a third of a
-/// second, a neighbour may turn by as much as its mirror pose, and the turn tells nothing.
-pub fn turn_log(found: &Alignment, predicted: &PoseEstimate) -> f64 {
-    let turn_rad =
-        found.camera_from_markers.rotation.angle_to(&predicted.camera_from_markers.rotation);
-    let predicted_sigma = rotation_deviation_rad(&predicted.covariance) / 3f64.sqrt();
-    let right = TURN_SIGMA_RAD.hypot(predicted_sigma);
+/// if it is false. In a third of a second out of sight, a neighbour may turn by as much as its
+/// mirror pose. The filter's gate allows for that.
+pub fn turn_log(found: &Alignment, predicted: &Isometry3<f64>) -> f64 {
+    let turn_rad = found.camera_from_markers.rotation.angle_to(&predicted.rotation);
     // Two normal densities in three axes.
     let density = |sigma: f64| -3.0 * sigma.ln() - 0.5 * (turn_rad / sigma).powi(2);
-    density(right) - density(FALSE_TURN_SIGMA_RAD.max(right))
+    density(TURN_SIGMA_RAD) - density(FALSE_TURN_SIGMA_RAD)
 }
 
 /// Log odds from the tilt of a pose; `is_within_limit` is `None` if no limit is known.
@@ -308,7 +306,7 @@ pub(crate) fn is_precise(decision: &Decision, tried: &[Hypothesis]) -> bool {
 pub(crate) fn with_search(
     mut decision: Decision,
     tried: &[Hypothesis],
-    predicted: &PoseEstimate,
+    predicted: &Isometry3<f64>,
 ) -> Decision {
     let Some((last, searched)) = tried.iter().enumerate().next_back() else { return decision };
     let Some(searched) = searched.alignment() else {
@@ -330,8 +328,8 @@ pub(crate) fn with_search(
 }
 
 /// Whether a pose from corners is acceptable as a measurement: if enough markers fit and its
-/// covariance is small enough. With a confirmed track `min_markers` must fit. `lead` is its
-/// own over all others ([`flockeye_geometry::pose::lead`]).
+/// covariance is small enough. With a confirmed track `min_markers` must fit. `lead` is its own
+/// over all others ([`flockeye_geometry::pose::lead`]).
 pub(crate) fn of_corners(
     solution: &PoseSolution,
     is_confirmed: bool,

@@ -172,12 +172,15 @@ impl Target {
     /// The track's prediction for a frame before the frame measures it.
     pub(crate) fn prior(&self, at_s: f64, ego: &EgoRotation) -> TrackPrior {
         let Some(prediction) = self.life.predict(at_s, ego) else { return TrackPrior::Untracked };
-        let covariance = prediction.pose_covariance();
-        let prior =
-            PoseEstimate { camera_from_markers: prediction.camera_from_markers, covariance };
+        let camera_from_markers = prediction.camera_from_markers;
         match self.life.state() {
-            Some(TrackState::Confirmed | TrackState::Coasting) => TrackPrior::Confirmed(prior),
-            Some(TrackState::Tentative | TrackState::Lost) | None => TrackPrior::Tentative(prior),
+            Some(TrackState::Confirmed | TrackState::Coasting) => {
+                let covariance = prediction.pose_covariance();
+                TrackPrior::Confirmed(PoseEstimate { camera_from_markers, covariance })
+            }
+            Some(TrackState::Tentative | TrackState::Lost) | None => {
+                TrackPrior::Tentative(camera_from_markers)
+            }
         }
     }
 

@@ -10,7 +10,7 @@ pub enum TrackPrior {
     /// There is no track.
     Untracked,
     /// A track that is not confirmed yet: a start pose (`camera_from_markers`), but no prior.
-    Tentative(PoseEstimate),
+    Tentative(Isometry3<f64>),
     /// A confirmed track.
     Confirmed(PoseEstimate),
 }
@@ -18,14 +18,10 @@ pub enum TrackPrior {
 impl TrackPrior {
     /// The predicted `camera_from_markers`, confirmed or not.
     pub(crate) fn predicted(&self) -> Option<&Isometry3<f64>> {
-        self.estimate().map(|prior| &prior.camera_from_markers)
-    }
-
-    /// The prediction with its covariance, confirmed or not.
-    pub(crate) fn estimate(&self) -> Option<&PoseEstimate> {
         match self {
             Self::Untracked => None,
-            Self::Tentative(prior) | Self::Confirmed(prior) => Some(prior),
+            Self::Tentative(pose) => Some(pose),
+            Self::Confirmed(prior) => Some(&prior.camera_from_markers),
         }
     }
 

@@ -1,10 +1,10 @@
 //! Shares of right and of wrong poses that each decision accepts.
 
 use flockeye_fusion::turn_log;
-use flockeye_geometry::pose::{PoseEstimate, is_false};
+use flockeye_geometry::pose::is_false;
 use flockeye_geometry::statistics::quantile;
 use flockeye_imaging::align::{Alignment, least_lead};
-use nalgebra::{Isometry3, Matrix6};
+use nalgebra::Isometry3;
 
 use crate::STOPS;
 
@@ -60,10 +60,7 @@ impl Hypothesis {
 
     /// Whether the decision accepts it for a body whose track predicts the right pose.
     fn is_confirmed(&self) -> bool {
-        let turn_log = self.truth.map_or(0.0, |camera_from_markers| {
-            let covariance = Matrix6::zeros();
-            turn_log(&self.found, &PoseEstimate { camera_from_markers, covariance })
-        });
+        let turn_log = self.truth.map_or(0.0, |truth| turn_log(&self.found, &truth));
         self.found.is_precise && self.found.is_accepted_with_track_prior(turn_log)
     }
 }

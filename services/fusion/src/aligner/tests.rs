@@ -9,7 +9,7 @@ use crate::fixtures::{PIXELS_PER_RADIAN, aligner, alignment, alpha, bravo};
 use flockeye_geometry::body::{Body, plate};
 use flockeye_imaging::align::least_lead;
 use flockeye_imaging::light::{CodeRange, LinearLight, TransferCurve};
-use nalgebra::{Matrix6, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{Translation3, UnitQuaternion, Vector3};
 
 fn pose(range_m: f64, turn: f64) -> Isometry3<f64> {
     Isometry3::from_parts(
@@ -59,11 +59,6 @@ fn initiate(
     decision.chosen_of(&tried).cloned()
 }
 
-/// A prediction without any uncertainty.
-fn certain(predicted: &Isometry3<f64>) -> PoseEstimate {
-    PoseEstimate { camera_from_markers: *predicted, covariance: Matrix6::zeros() }
-}
-
 fn confirm(
     aligner: &Aligner,
     picture: &Picture<'_>,
@@ -75,7 +70,7 @@ fn confirm(
     let starts = with_sources(starts);
     let sought = Sought { target: 0, picture, starts: &starts, budget };
     let mut tried = Vec::new();
-    let decision = aligner.confirm(&sought, &certain(predicted), is_marked, &mut tried);
+    let decision = aligner.confirm(&sought, predicted, is_marked, &mut tried);
     decision.chosen_of(&tried).cloned()
 }
 
@@ -274,7 +269,7 @@ fn each_hypothesis_has_its_reason() {
     let truth = pose(0.8, 0.9);
     with_picture(&truth, |aligner, picture| {
         let confirm = |sought: &Sought<'_>, tried: &mut Vec<Hypothesis>| {
-            aligner.confirm(sought, &certain(&truth), |_| false, tried)
+            aligner.confirm(sought, &truth, |_| false, tried)
         };
         let behind = Start::Fine(Isometry3::translation(-1.0, 0.0, 0.0));
         let starts = [behind, Start::Fine(pose(0.8, 4.0)), Start::Fine(truth)];
@@ -375,7 +370,7 @@ fn a_search_round_the_prediction_counts_if_it_finds_something_likelier() {
                     ..Decision::default()
                 },
             };
-            let decision = aligner.or_round(before, 0, picture, &certain(&truth), &mut tried);
+            let decision = aligner.or_round(before, 0, picture, &truth, &mut tried);
             let log_odds = decision.chosen_of(&tried).unwrap().evidence.log_odds;
             (log_odds, decision.reasons)
         };

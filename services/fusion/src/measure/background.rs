@@ -11,7 +11,7 @@ use flockeye_contract::FrameOrder;
 use std::collections::BTreeSet;
 
 use flockeye_geometry::body::Body;
-use flockeye_geometry::pose::{CornerRay, PoseEstimate};
+use flockeye_geometry::pose::CornerRay;
 use flockeye_geometry::view::View;
 use flockeye_imaging::align::{Motion, Picture};
 use flockeye_imaging::image::LumaImage;
@@ -147,9 +147,9 @@ pub struct Job {
     decoded: Vec<CornerRay>,
     starts: Vec<(StartSource, Start)>,
     /// The prediction of a confirmed track.
-    confirmed: Option<PoseEstimate>,
+    confirmed: Option<Isometry3<f64>>,
     /// The prediction to search around if no start leads to the body.
-    search_round: Option<PoseEstimate>,
+    search_round: Option<Isometry3<f64>>,
 }
 
 /// A view with its pixels.
@@ -188,7 +188,7 @@ impl CopiedView {
 impl Job {
     /// `None` where there is no view.
     fn new(time: FrameTime, inputs: &PassInputs<'_>) -> Option<Self> {
-        let predicted = inputs.prior.estimate().copied();
+        let predicted = inputs.prior.predicted().copied();
         Some(Self {
             time,
             target: inputs.target,
@@ -198,7 +198,7 @@ impl Job {
             view: CopiedView::of(inputs.best_view.as_ref()?),
             decoded: inputs.decoded.clone(),
             starts: inputs.background_starts(),
-            confirmed: inputs.prior.confirmed().copied(),
+            confirmed: inputs.prior.confirmed().map(|prior| prior.camera_from_markers),
             search_round: predicted.filter(|_| inputs.may_search),
         })
     }

@@ -1,7 +1,7 @@
 //! Inputs for the measurement of one target in a frame, collected once.
 
 use flockeye_geometry::body::Body;
-use flockeye_geometry::pose::{CornerRay, PoseEstimate, PoseSolution, choose, lead, solve};
+use flockeye_geometry::pose::{CornerRay, PoseSolution, choose, lead, solve};
 use nalgebra::Isometry3;
 
 use crate::account::{Pass, Trial};
@@ -87,9 +87,9 @@ impl PassInputs<'_> {
     }
 
     /// The prediction to search around, unless that is left to the background pass.
-    fn search_round(&self) -> Option<&PoseEstimate> {
+    fn search_round(&self) -> Option<&Isometry3<f64>> {
         let may_search = self.may_search && !self.trial.is_deferred;
-        self.prior.estimate().filter(|_| may_search)
+        self.prior.predicted().filter(|_| may_search)
     }
 
     /// Compares the body with the picture, but not again from a failed start. `corners` are the
@@ -114,7 +114,7 @@ impl PassInputs<'_> {
         let sought =
             Sought { target: self.target, picture: &view.picture, starts: &starts, budget };
         let is_marked = |pose: &Isometry3<f64>| supports(self.body, &self.decoded, pose);
-        let confirmed = self.prior.confirmed();
+        let confirmed = self.prior.confirmed().map(|prior| &prior.camera_from_markers);
         // A pose must win against all starts, the deferred ones too.
         let needs_facets = is_deferred && self.prior.predicted().is_none();
         let round = self.search_round();
@@ -209,6 +209,7 @@ mod tests {
     use crate::fixtures::{aligner, alpha, error_m, facing_markers};
     use crate::measurement::{PoseMeasurement, decoded_rays, marker_ids};
     use flockeye_geometry::body::Bodies;
+    use flockeye_geometry::pose::PoseEstimate;
     use nalgebra::{Matrix6, Translation3, UnitQuaternion};
 
     /// The measurement by corners alone.

@@ -189,8 +189,7 @@ fn trial(outcome: Outcome, verdicts: &[(f64, Verdict)]) -> AccountEntry {
         decision: decision(&verdicts.iter().map(|(_, verdict)| *verdict).collect::<Vec<_>>()),
         view_index: Some(0),
         outcome,
-        predicted: Some(there()),
-        ..Trial::of(Pass::Region, &TrackPrior::Untracked, TimeBudget::OneFrame)
+        ..Trial::of(Pass::Region, &TrackPrior::Tentative(there()), TimeBudget::OneFrame)
     })
 }
 
