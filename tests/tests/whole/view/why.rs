@@ -117,7 +117,8 @@ fn wait_for_frame(path: &std::path::Path, after: usize) -> String {
     loop {
         assert!(start.elapsed() < flockeye_tests::WATCHDOG, "nothing is recorded");
         std::thread::sleep(std::time::Duration::from_millis(200));
-        if !path.exists() {
+        // The recorder makes an empty file before it writes the first bytes.
+        if std::fs::metadata(path).map_or(true, |file| file.len() == 0) {
             continue;
         }
         let (messages, _) = read(path, "flockeye/track");
