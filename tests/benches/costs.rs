@@ -15,7 +15,7 @@ use flockeye_geometry::body::{Bodies, Body, squares};
 use flockeye_geometry::camera::Camera;
 use flockeye_geometry::mask::Mask;
 use flockeye_geometry::partition::Partition;
-use flockeye_geometry::pose::{CornerRay, PoseSolution, solve};
+use flockeye_geometry::pose::{CornerRay, PoseEstimate, PoseSolution, solve};
 use flockeye_geometry::view::View;
 use flockeye_imaging::align::Picture;
 use flockeye_imaging::edges::CornerFit;
@@ -28,7 +28,7 @@ use flockeye_imaging::sphere::{Cut, SphereImage};
 use flockeye_rectification::cpu::CpuRectifier;
 use flockeye_rectification::rectifier::Rectifier as _;
 use flockeye_simulator::{Attitude, Moment, Placement, World, WorldParameters};
-use nalgebra::{Isometry3, Translation3, Unit, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Matrix6, Translation3, Unit, UnitQuaternion, Vector3};
 
 const DICTIONARY: &str = "DICT_5X5_250";
 const WIDTH: u32 = 3840;
@@ -185,9 +185,11 @@ fn region(
             solutions.iter().take(3).map(|found| (StartSource::Corners, start(found))).collect()
         };
         let (picture, budget) = (&picture, TimeBudget::OneFrame);
+        let prior =
+            PoseEstimate { camera_from_markers: predicted, covariance: Matrix6::identity() * 1e-4 };
         timed(&mut costs.corner_pass, 1.0, || {
             let sought = Sought { target: 0, picture, starts: &from_corners(), budget };
-            aligner.confirm(&sought, &predicted, unknown, &mut Vec::new())
+            aligner.confirm(&sought, &prior, unknown, &mut Vec::new())
         });
         timed(&mut costs.initiation, 1.0, || {
             let sought = Sought { target: 0, picture, starts: &from_corners(), budget };

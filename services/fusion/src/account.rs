@@ -47,8 +47,8 @@ pub enum Pass {
 pub enum NotRun {
     /// The frame's pose was already published.
     Published,
-    /// There is no track, or none that is confirmed and was measured in the last frame.
-    NotMeasuredBefore,
+    /// There is no track, or none that is confirmed.
+    NotConfirmed,
     /// Markers contradicted a pose of the direct pass some frames ago.
     Suspended,
     /// No marker was decoded, and there is no prediction.

@@ -9,6 +9,7 @@
 use std::sync::{Arc, OnceLock};
 
 use flockeye_geometry::body::{Bodies, Body};
+use flockeye_geometry::pose::PoseEstimate;
 use flockeye_imaging::align::{
     AlignError, AlignOptions, Alignment, BodyPrint, Motion, Picture, Place, PrintError, Templates,
     align, reacquire, starts_at,
@@ -144,7 +145,7 @@ impl Aligner {
         &self,
         sought: &Sought<'_>,
         is_marked: impl Fn(&Isometry3<f64>) -> bool,
-        confirmed: Option<&Isometry3<f64>>,
+        confirmed: Option<&PoseEstimate>,
         needs_facets: bool,
         round: Option<&Isometry3<f64>>,
         tried: &mut Vec<Hypothesis>,
@@ -168,15 +169,20 @@ impl Aligner {
     pub fn confirm(
         &self,
         sought: &Sought<'_>,
-        predicted: &Isometry3<f64>,
+        predicted: &PoseEstimate,
         is_marked: impl Fn(&Isometry3<f64>) -> bool,
         tried: &mut Vec<Hypothesis>,
     ) -> Decision {
         let Sought { target, picture, starts, budget } = *sought;
         let max_starts = if budget == TimeBudget::Overspent { 1 } else { starts.len() };
         for (source, start) in starts.iter().take(max_starts) {
-            let found = self.try_align(target, picture, start);
-            let turn_log = found.as_ref().ok().map(|found| decide::turn_log(found, predicted));
+            // The prediction would pull other starts away from the pose that they support.
+            let guide = source.is_prediction().then_some(predicted);
+            let found = self.try_align(target, picture, start, guide);
+            let turn_log = found
+                .as_ref()
+                .ok()
+                .map(|found| decide::turn_log(found, &predicted.camera_from_markers));
             let hypothesis =
                 Hypothesis { turn_log, ..Hypothesis::marked(*source, found, &is_marked) };
             let is_certain = decide::is_certain(&hypothesis);
@@ -204,7 +210,7 @@ impl Aligner {
     ) -> Decision {
         let Sought { target, picture, starts, budget } = *sought;
         for (source, start) in starts {
-            let found = self.try_align(target, picture, start);
+            let found = self.try_align(target, picture, start, None);
             let hypothesis = self.competing(target, *source, found, &is_marked);
             let is_last = decide::ends_competition(&hypothesis, budget);
             tried.push(hypothesis);
@@ -305,10 +311,11 @@ impl Aligner {
 
     /// Aligns from a start. The pose may belong to no body.
     pub fn align(&self, target: usize, picture: &Picture<'_>, start: &Start) -> Option<Alignment> {
-        self.try_align(target, picture, start).ok()
+        self.try_align(target, picture, start, None).ok()
     }
 
-    /// Aligns from a start, as [`Aligner::align`], or returns the reason for no result.
+    /// Aligns from a start, as [`Aligner::align`], guided by a prediction. Without a result, returns
+    /// the reason.
     ///
     /// # Errors
     /// [`AlignError`].
@@ -317,13 +324,15 @@ impl Aligner {
         target: usize,
         picture: &Picture<'_>,
         start: &Start,
+        predicted: Option<&PoseEstimate>,
     ) -> Result<Alignment, AlignError> {
         let (pose, coarse_first) = match start {
             Start::Fine(pose) => (pose, false),
             Start::Rough(pose) => (pose, true),
             Start::Tried(found) => return found.clone().map(|found| *found),
         };
-        let options = AlignOptions { coarse_first, ..self.options };
+        let predicted = predicted.copied();
+        let options = AlignOptions { coarse_first, predicted, ..self.options };
         let print = self.prints.get(target).ok_or(AlignError::Nothing)?;
         align(print, picture, pose, &options)
     }

@@ -41,6 +41,13 @@ pub enum StartSource {
     Place,
 }
 
+impl StartSource {
+    /// Whether the start is the track's prediction.
+    pub(crate) fn is_prediction(self) -> bool {
+        matches!(self, Self::Prediction | Self::RoughPrediction | Self::DirectPass)
+    }
+}
+
 impl Hypothesis {
     /// A pose with the result of its alignment alone.
     pub fn of(source: StartSource, found: Result<Alignment, AlignError>) -> Self {

@@ -6,7 +6,7 @@
 //!
 //! | kind | starts from | requires | runs |
 //! | --- | --- | --- | --- |
-//! | direct | the prediction alone | a track measured in the frame before | when a region of interest has been cut |
+//! | direct | the prediction alone | a confirmed track | when a region of interest has been cut |
 //! | region | markers, squares like them, the prediction | two markers, where no picture decides | when that region has been searched |
 //! | complete | those of all views | two markers, or one with a confirmed track | when the frame is complete |
 //! | background | markers without a confirmed track, squares like them, the rough prediction, a search round it | a picture | beside the others: it takes several times as long |
@@ -47,7 +47,7 @@ impl Pass {
     /// Whether a target has the track that the pass requires.
     pub(crate) fn allows(self, target: &Target) -> bool {
         match self {
-            Self::Direct => target.is_measured(),
+            Self::Direct => target.is_tracked(),
             Self::Region | Self::Complete | Self::Background => true,
             Self::Place => !target.is_tracked(),
         }

@@ -164,11 +164,6 @@ impl Target {
         saved.life.map_or(Ok(()), |life| self.life.resume(life, ego))
     }
 
-    /// Whether its track is confirmed and was measured in its last frame.
-    pub(crate) fn is_measured(&self) -> bool {
-        self.life.state() == Some(TrackState::Confirmed)
-    }
-
     /// The track's prediction for a frame before the frame measures it.
     pub(crate) fn prior(&self, at_s: f64, ego: &EgoRotation) -> TrackPrior {
         let Some(prediction) = self.life.predict(at_s, ego) else { return TrackPrior::Untracked };

@@ -1,5 +1,6 @@
 //! Options and results of an alignment.
 
+use flockeye_geometry::pose::PoseEstimate;
 use nalgebra::{Isometry3, Matrix6};
 
 use super::evidence::Evidence;
@@ -15,6 +16,9 @@ pub struct AlignOptions {
     pub max_iterations: usize,
     /// Whether to fit with more blur first, for a start with an error above half a cell.
     pub coarse_first: bool,
+    /// Pose that the body's track predicts. It guides the fit where the picture says little. The last
+    /// step is made without it, so that the result is a measurement of its own.
+    pub predicted: Option<PoseEstimate>,
     /// Factor on the covariance for errors of lens and body, which the pixels do not show.
     pub covariance_scale: f64,
     /// Additional factor for the coding: 1 for single pictures, or [`VIDEO_COVARIANCE_SCALE`].
@@ -33,6 +37,7 @@ impl Default for AlignOptions {
             max_body_px: 75.0,
             max_iterations: 8,
             coarse_first: false,
+            predicted: None,
             covariance_scale: 1.0,
             coding_covariance_scale: 1.0,
         }

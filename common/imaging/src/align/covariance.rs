@@ -64,30 +64,56 @@ pub(super) fn pose_covariance(
     wandered: f64,
 ) -> Option<Matrix6<f64>> {
     let inverse = normal.inverse();
-    let mut estimator = MEstimator::default();
-    let influences: Vec<(usize, f32)> = set
-        .samples
-        .iter()
-        .zip(residuals)
-        .filter_map(|(sample, &residual)| {
-            let in_sigmas = f64::from(residual?) / set.sigmas[usize::from(sample.facet)];
-            let place = usize::from(sample.y) * patch.width + usize::from(sample.x);
-            Some((place, estimator.add(in_sigmas) as f32))
-        })
-        .collect();
-    let correlation = residual_correlation(patch.width, patch.height, &influences);
+    let Dependence { estimator, count, correlation } = Dependence::of(set, patch, residuals);
     // Effective degrees of freedom of a ridge regression: the share of each unknown that samples
     // determine and priors do not.
-    let independent = influences.len() as f64 / correlation;
+    let independent = count as f64 / correlation;
     let absorbed = inverse.component_mul(from_samples).sum();
     let free = (independent - absorbed).max(MIN_FREE_SHARE * independent);
     let unexplained = unexplained_share(explained, estimator.weighted_squares);
-    let correlated = CORRELATION_FACTOR * correlation.powf(CORRELATION_EXPONENT);
-    let factor = estimator.factor()? * unexplained * correlated * independent / free;
+    let factor = estimator.factor()? * unexplained * correlated(correlation) * independent / free;
     // Divided by the factor, it counts standard deviations of the pose, not of the normal matrix.
     let wandering = 1.0 + (WANDERING * wandered).powi(2) / factor;
     let pose: Matrix6<f64> = inverse.fixed_view::<6, 6>(0, 0) * (factor * wandering);
     pose.iter().all(|x| x.is_finite()).then_some((pose + pose.transpose()) / 2.0)
+}
+
+/// How many times as much the samples count in the normal equations as independent measurements
+/// would, apart from what the unknowns absorb. `None` where most residuals are outliers.
+pub(super) fn dependence(set: &SampleSet, patch: &Patch, residuals: &[Option<f32>]) -> Option<f64> {
+    let Dependence { estimator, correlation, .. } = Dependence::of(set, patch, residuals);
+    Some(estimator.factor()? * correlated(correlation))
+}
+
+fn correlated(correlation: f64) -> f64 {
+    CORRELATION_FACTOR * correlation.powf(CORRELATION_EXPONENT)
+}
+
+/// How residuals depend on each other, and how normal they are.
+struct Dependence {
+    estimator: MEstimator,
+    /// Number of usable samples.
+    count: usize,
+    /// See [`residual_correlation`].
+    correlation: f64,
+}
+
+impl Dependence {
+    fn of(set: &SampleSet, patch: &Patch, residuals: &[Option<f32>]) -> Self {
+        let mut estimator = MEstimator::default();
+        let influences: Vec<(usize, f32)> = set
+            .samples
+            .iter()
+            .zip(residuals)
+            .filter_map(|(sample, &residual)| {
+                let in_sigmas = f64::from(residual?) / set.sigmas[usize::from(sample.facet)];
+                let place = usize::from(sample.y) * patch.width + usize::from(sample.x);
+                Some((place, estimator.add(in_sigmas) as f32))
+            })
+            .collect();
+        let correlation = residual_correlation(patch.width, patch.height, &influences);
+        Self { estimator, count: influences.len(), correlation }
+    }
 }
 
 /// The share of the residuals' `squares` that a step leaves unexplained.

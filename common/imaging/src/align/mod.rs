@@ -58,13 +58,14 @@ pub use evidence::Evidence;
 pub use patch::{Motion, Picture};
 pub use print::{BodyPrint, MAX_CELLS, PrintError};
 
+use flockeye_geometry::pose::PoseEstimate;
 use nalgebra::{Isometry3, Matrix2, Matrix6, Unit, Vector3};
 
 use evidence::compare;
 use patch::Patch;
 use samples::Sample;
 use solve::BodyFit;
-use state::{Prior, State};
+use state::{PosePrior, Prior, State};
 
 /// Largest angle between a body and its prediction for [`reacquire`], radians.
 pub const REACQUIRE_RADIUS_RAD: f64 = 0.014;
@@ -218,7 +219,12 @@ impl PreparedView {
         let motion = seen_px(rate_in_camera * MOMENT_S) - seen_px(Vector3::zeros());
         let motion = Unit::try_new(motion, MIN_MOTION_PX);
         let path_px = seen_px(path_rad) - seen_px(Vector3::zeros());
-        let prior = Prior::new(blur_px, path_px, motion, magnification);
+        let pose = options.predicted.and_then(|predicted| {
+            let scale = options.covariance_scale * options.coding_covariance_scale;
+            let covariance = predicted.covariance / scale;
+            PosePrior::new(&patch.view_from_camera, &PoseEstimate { covariance, ..predicted })
+        });
+        let prior = Prior { pose, ..Prior::new(blur_px, path_px, motion, magnification) };
         Ok(Self { patch, prior })
     }
 

@@ -10,7 +10,7 @@
 
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn, Isometry3, Matrix6};
 
-use super::covariance::pose_covariance;
+use super::covariance::{dependence, pose_covariance};
 use super::levels::fit_levels;
 use super::model::{Scene, rim_shift_px};
 use super::normal_equations::SampleSet;
@@ -77,8 +77,15 @@ pub(super) fn fit(
         let from_samples = sums.normal.clone();
         add_priors(&mut sums.normal, &mut sums.right, &state, layout, prior);
         let uniform = ..layout.uniform_count;
-        let normal = sums.normal.view_range(uniform, uniform).into_owned().cholesky()?;
-        let step = normal.solve(&sums.right.rows_range(uniform));
+        let mut guided = sums.normal.view_range(uniform, uniform).into_owned();
+        let mut right = sums.right.rows_range(uniform).into_owned();
+        if let Some(pose) = &prior.pose
+            && let Some(weight) = dependence(&set, patch, &sums.residuals)
+        {
+            pose.add(&mut guided, &mut right, &state.patch_from_markers, weight);
+        }
+        let normal = guided.cholesky()?;
+        let step = normal.solve(&right);
         let before = state.clone();
         let moved = apply_step(&mut state, &step, layout, focal_px)?;
         let is_straight = iteration <= STRAIGHT_STEPS;
@@ -92,6 +99,7 @@ pub(super) fn fit(
                 let residuals = &sums.residuals;
                 pose_covariance(&set, patch, residuals, normal, from_samples, explained, wandered)
             };
+            // The prediction has no part in this step: the filter adds it.
             let with_gradients = || {
                 let normal = sums.normal.clone().cholesky()?;
                 let step = normal.solve(&sums.right);
@@ -104,6 +112,8 @@ pub(super) fn fit(
                 Some(found) => found,
                 None => {
                     let from_samples = from_samples.view_range(uniform, uniform).into_owned();
+                    let normal =
+                        sums.normal.view_range(uniform, uniform).into_owned().cholesky()?;
                     (state.patch_from_markers, covariance(&normal, &from_samples, 0.0)?)
                 }
             };

@@ -1,7 +1,9 @@
 //! The unknowns of an alignment: their values, their places in the normal equations, their priors.
 
+use flockeye_geometry::pose::{PoseEstimate, pose_difference};
 use nalgebra::{
-    DMatrix, DVector, Isometry3, Matrix2, Translation3, Unit, UnitQuaternion, Vector2, Vector3,
+    DMatrix, DVector, Isometry3, Matrix2, Matrix6, Translation3, Unit, UnitQuaternion, Vector2,
+    Vector3,
 };
 
 use super::print::BodyPrint;
@@ -79,7 +81,8 @@ impl State {
     }
 }
 
-/// Expected point spread, and the scale between pixels of the patch and of the sphere image.
+/// Expected point spread and pose, and the scale between pixels of the patch and of the sphere
+/// image.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Prior {
     /// Motion of the body during the exposure, pixels; see [`State::even_path_px`].
@@ -92,6 +95,52 @@ pub(super) struct Prior {
     pub motion: Option<Unit<Vector2<f64>>>,
     /// Pixels of the patch for each pixel of the sphere image, along one axis.
     pub magnification: f64,
+    /// Prediction of the pose; `None` where it is not known.
+    pub pose: Option<PosePrior>,
+}
+
+/// Prediction of a body's pose in the patch.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct PosePrior {
+    patch_from_markers: Isometry3<f64>,
+    /// Inverse covariance: position (m), then rotation vector (rad), in the patch's axes.
+    information: Matrix6<f64>,
+}
+
+impl PosePrior {
+    /// A prediction in the camera frame, for a patch with these axes. `None` where its covariance
+    /// has no inverse.
+    pub(super) fn new(
+        patch_from_camera: &UnitQuaternion<f64>,
+        predicted: &PoseEstimate,
+    ) -> Option<Self> {
+        let turn = patch_from_camera.to_rotation_matrix().into_inner();
+        let mut axes = Matrix6::zeros();
+        axes.fixed_view_mut::<3, 3>(0, 0).copy_from(&turn);
+        axes.fixed_view_mut::<3, 3>(3, 3).copy_from(&turn);
+        let information = predicted.covariance.cholesky()?.inverse();
+        Some(Self {
+            patch_from_markers: patch_from_camera * predicted.camera_from_markers,
+            information: axes * information * axes.transpose(),
+        })
+    }
+
+    /// Adds the prediction to the normal equations, in which samples count `weight` times as much
+    /// as independent measurements.
+    pub(super) fn add(
+        &self,
+        normal: &mut DMatrix<f64>,
+        right: &mut DVector<f64>,
+        patch_from_markers: &Isometry3<f64>,
+        weight: f64,
+    ) {
+        let information = self.information * weight;
+        let difference = pose_difference(&self.patch_from_markers, patch_from_markers);
+        let mut of_pose = normal.fixed_view_mut::<6, 6>(0, 0);
+        of_pose += information;
+        let mut of_pose = right.fixed_rows_mut::<6>(0);
+        of_pose += information * difference;
+    }
 }
 
 impl Prior {
@@ -112,7 +161,14 @@ impl Prior {
         let blur = Matrix2::identity() * lens_px.powi(2) + path_px * path_px.transpose() * share;
         let (of_lens, of_path) =
             (0.5 * lens_px.powi(2), PATH_UNCERTAINTY * path_px.norm_squared() / 12.0);
-        Self { even_path_px, blur, blur_sigma_px2: of_lens.hypot(of_path), motion, magnification }
+        Self {
+            even_path_px,
+            blur,
+            blur_sigma_px2: of_lens.hypot(of_path),
+            motion,
+            magnification,
+            pose: None,
+        }
     }
 
     /// Variance of a point spread along the motion, less that across it, pixels of the sphere image

@@ -114,6 +114,64 @@ fn a_pose_in_video_is_less_certain_and_as_precise() {
     assert!(video.is_precise && !is_precise(&video.covariance), "with a scale of {scale}");
 }
 
+/// A prediction with these deviations (m, rad) of each axis, off by as much as they say.
+fn predicted_beside(truth: &Isometry3<f64>, position_m: f64, rotation_rad: f64) -> PoseEstimate {
+    let shift = Vector3::new(0.7, -0.5, 0.5).normalize() * position_m * 3f64.sqrt();
+    let turn = Vector3::new(-0.4, 0.8, 0.4).normalize() * rotation_rad * 3f64.sqrt();
+    let [p, r] = [position_m.powi(2), rotation_rad.powi(2)];
+    PoseEstimate {
+        camera_from_markers: moved(truth, shift, turn),
+        covariance: Matrix6::from_diagonal(&[p, p, p, r, r, r].into()),
+    }
+}
+
+/// Alignment from a prediction, with it as a guide and without.
+fn guided_and_free(
+    drawing: &Drawing,
+    print: &BodyPrint,
+    predicted: PoseEstimate,
+) -> [Option<Alignment>; 2] {
+    let light = srgb();
+    let picture = Picture::still(drawing.image(), drawing.view, &light, PIXELS_PER_RADIAN);
+    [Some(predicted), None].map(|guide| {
+        let options = AlignOptions { predicted: guide, ..AlignOptions::default() };
+        align(print, &picture, &predicted.camera_from_markers, &options).ok()
+    })
+}
+
+#[test]
+fn a_prediction_has_no_part_in_what_a_clear_picture_measures() {
+    let print = print_of(&body(0));
+    let truth = pose(1.0, [0.3, -0.2, 0.9]);
+    let drawing = draw(&body(0), &truth, PIXELS_PER_RADIAN, 0.9, 0.004);
+    let predicted = predicted_beside(&truth, 2e-3, 0.01);
+    let [guided, free] = guided_and_free(&drawing, &print, predicted).map(Option::unwrap);
+    let apart =
+        guided.camera_from_markers.translation.vector - free.camera_from_markers.translation.vector;
+    assert!(apart.norm() < 3e-4, "{} mm apart", apart.norm() * 1e3);
+    let turned = guided.camera_from_markers.rotation.angle_to(&free.camera_from_markers.rotation);
+    assert!(turned < 1e-3, "{turned} rad");
+}
+
+#[test]
+fn a_prediction_keeps_a_fit_to_a_blurred_picture_near() {
+    let print = print_of(&body(0));
+    let mut errors = [Vec::new(), Vec::new()];
+    for k in 0..12 {
+        let truth = pose(1.1, [0.3, -0.2, 0.5 * f64::from(k)]);
+        let drawing = draw(&body(0), &truth, PIXELS_PER_RADIAN, 5.0, 0.01);
+        let predicted = predicted_beside(&truth, 0.01, 0.05);
+        for (k, found) in guided_and_free(&drawing, &print, predicted).into_iter().enumerate() {
+            let turned_rad = found.map_or(f64::INFINITY, |found| {
+                found.camera_from_markers.rotation.angle_to(&truth.rotation)
+            });
+            errors[k].push(turned_rad.min(0.5));
+        }
+    }
+    let [guided, free] = errors.each_ref().map(|errors| errors.iter().sum::<f64>());
+    assert!(guided < 0.8 * free, "radians, guided and free: {errors:.3?}");
+}
+
 /// At the true pose the model is the picture, but for noise; beside it, it is not.
 #[test]
 fn a_depiction_is_the_picture_at_the_true_pose() {

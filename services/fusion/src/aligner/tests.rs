@@ -9,7 +9,7 @@ use crate::fixtures::{PIXELS_PER_RADIAN, aligner, alignment, alpha, bravo};
 use flockeye_geometry::body::{Body, plate};
 use flockeye_imaging::align::least_lead;
 use flockeye_imaging::light::{CodeRange, LinearLight, TransferCurve};
-use nalgebra::{Translation3, UnitQuaternion, Vector3};
+use nalgebra::{Matrix6, Translation3, UnitQuaternion, Vector3, Vector6};
 
 fn pose(range_m: f64, turn: f64) -> Isometry3<f64> {
     Isometry3::from_parts(
@@ -70,8 +70,14 @@ fn confirm(
     let starts = with_sources(starts);
     let sought = Sought { target: 0, picture, starts: &starts, budget };
     let mut tried = Vec::new();
-    let decision = aligner.confirm(&sought, predicted, is_marked, &mut tried);
+    let decision = aligner.confirm(&sought, &known_at(predicted), is_marked, &mut tried);
     decision.chosen_of(&tried).cloned()
+}
+
+/// A track's prediction, certain to 5 cm and 6 degrees.
+fn known_at(pose: &Isometry3<f64>) -> PoseEstimate {
+    let covariance = Matrix6::from_diagonal(&Vector6::new(2.5, 2.5, 2.5, 10.0, 10.0, 10.0)) * 1e-3;
+    PoseEstimate { camera_from_markers: *pose, covariance }
 }
 
 fn with_sources(starts: &[Start]) -> Vec<(StartSource, Start)> {
@@ -269,7 +275,7 @@ fn each_hypothesis_has_its_reason() {
     let truth = pose(0.8, 0.9);
     with_picture(&truth, |aligner, picture| {
         let confirm = |sought: &Sought<'_>, tried: &mut Vec<Hypothesis>| {
-            aligner.confirm(sought, &truth, |_| false, tried)
+            aligner.confirm(sought, &known_at(&truth), |_| false, tried)
         };
         let behind = Start::Fine(Isometry3::translation(-1.0, 0.0, 0.0));
         let starts = [behind, Start::Fine(pose(0.8, 4.0)), Start::Fine(truth)];

@@ -11,7 +11,7 @@ use flockeye_contract::FrameOrder;
 use std::collections::BTreeSet;
 
 use flockeye_geometry::body::Body;
-use flockeye_geometry::pose::CornerRay;
+use flockeye_geometry::pose::{CornerRay, PoseEstimate};
 use flockeye_geometry::view::View;
 use flockeye_imaging::align::{Motion, Picture};
 use flockeye_imaging::image::LumaImage;
@@ -147,7 +147,7 @@ pub struct Job {
     decoded: Vec<CornerRay>,
     starts: Vec<(StartSource, Start)>,
     /// The prediction of a confirmed track.
-    confirmed: Option<Isometry3<f64>>,
+    confirmed: Option<PoseEstimate>,
     /// The prediction to search around if no start leads to the body.
     search_round: Option<Isometry3<f64>>,
 }
@@ -198,7 +198,7 @@ impl Job {
             view: CopiedView::of(inputs.best_view.as_ref()?),
             decoded: inputs.decoded.clone(),
             starts: inputs.background_starts(),
-            confirmed: inputs.prior.confirmed().map(|prior| prior.camera_from_markers),
+            confirmed: inputs.prior.confirmed().copied(),
             search_round: predicted.filter(|_| inputs.may_search),
         })
     }

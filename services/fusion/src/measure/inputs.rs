@@ -114,7 +114,7 @@ impl PassInputs<'_> {
         let sought =
             Sought { target: self.target, picture: &view.picture, starts: &starts, budget };
         let is_marked = |pose: &Isometry3<f64>| supports(self.body, &self.decoded, pose);
-        let confirmed = self.prior.confirmed().map(|prior| &prior.camera_from_markers);
+        let confirmed = self.prior.confirmed();
         // A pose must win against all starts, the deferred ones too.
         let needs_facets = is_deferred && self.prior.predicted().is_none();
         let round = self.search_round();

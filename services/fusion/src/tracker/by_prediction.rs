@@ -99,7 +99,7 @@ impl Tracker {
         number: usize,
         view: &BestView<'f>,
     ) -> Result<PassInputs<'f>, NotRun> {
-        let target = self.targets.get(number).ok_or(NotRun::NotMeasuredBefore)?;
+        let target = self.targets.get(number).ok_or(NotRun::NotConfirmed)?;
         if is_published(parts, number) {
             return Err(NotRun::Published);
         }
@@ -108,7 +108,7 @@ impl Tracker {
         }
         let prior = self.prior(number, time.at_s);
         if !Pass::Direct.allows(target) || prior.confirmed().is_none() {
-            return Err(NotRun::NotMeasuredBefore);
+            return Err(NotRun::NotConfirmed);
         }
         let begun = Trial::of(Pass::Direct, &prior, TimeBudget::OneFrame);
         let view = view.moving(self.motion(number, time.at_s, &prior));

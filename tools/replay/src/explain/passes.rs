@@ -193,9 +193,7 @@ pub(super) fn pass_name(pass: Pass) -> &'static str {
 fn reason_of(reason: NotRun) -> &'static str {
     match reason {
         NotRun::Published => "the frame's pose had left",
-        NotRun::NotMeasuredBefore => {
-            "its track is not confirmed, or was not measured in the last frame"
-        }
+        NotRun::NotConfirmed => "it has no confirmed track",
         NotRun::Suspended => "its markers contradicted a direct pose some frames ago",
         NotRun::NothingKnown => "no marker was decoded, and no track predicts it",
         NotRun::NoView => "no marker was decoded, and no view of it is held",

@@ -249,7 +249,7 @@ fn what_was_not_looked_at_is_told_by_its_first_step() {
 
 #[test]
 fn what_was_looked_at_in_vain_is_told_by_what_was_found() {
-    let not_run = || AccountEntry::NotRun(Pass::Direct, NotRun::NotMeasuredBefore);
+    let not_run = || AccountEntry::NotRun(Pass::Direct, NotRun::NotConfirmed);
     let (step, why) = judged(|known| looked_at(known, not_run()));
     assert_eq!(step, DecisiveStep::NothingFound, "{why}");
     assert!(why.contains("no outline of its markers was found in the region of alpha"), "{why}");

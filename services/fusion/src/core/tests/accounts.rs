@@ -62,7 +62,7 @@ fn a_corner_pass_is_noted_with_its_corners_and_hypotheses() {
     drain(&mut core, 0);
     core.on(region(0, 0), 0);
     drain(&mut core, 0);
-    let not_measured = AccountEntry::NotRun(Pass::Direct, NotRun::NotMeasuredBefore);
+    let not_measured = AccountEntry::NotRun(Pass::Direct, NotRun::NotConfirmed);
     assert_eq!(decided(&mut core, 0), [not_measured]);
     core.on(searched(0, 0), 0);
     drain(&mut core, 0);

@@ -91,7 +91,7 @@ fn a_late_answer_corrects_the_track() {
         assert!(coasted[0].1.measured.is_none());
         assert!(run(&mut tracker).is_some());
         assert_tracked_at(&tracker, &truth, at_s(3));
-        assert!(tracker.targets[0].is_measured());
+        assert_eq!(tracker.targets[0].state(), Some(TrackState::Confirmed));
     });
 }
 
@@ -110,7 +110,7 @@ fn a_late_answer_means_nothing_to_a_track_that_has_gone_on_or_ended() {
             end(&mut tracker, sequence);
         }
         assert!(run(&mut tracker).is_none());
-        assert!(tracker.targets[0].is_measured());
+        assert_eq!(tracker.targets[0].state(), Some(TrackState::Confirmed));
         assert_eq!(see(&mut tracker, 40, &beside)[0].1.track_id, track_id);
         // Lost since.
         let mut tracker = misled(&truth, OFF_M);
