@@ -15,6 +15,8 @@ pub(crate) struct ByteStream {
     length_bytes: Option<usize>,
     /// Current parameter sets, without start codes.
     sets: Vec<Vec<u8>>,
+    /// Highest temporal layer so far; H.264 has none.
+    highest_layer: u8,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -43,15 +45,48 @@ impl ByteStream {
                 (Some(length_bytes), sets)
             }
         };
-        Ok(Self { codec, length_bytes, sets })
+        Ok(Self { codec, length_bytes, sets, highest_layer: 0 })
     }
 
-    pub(crate) fn packet(&mut self, picture: &[u8], is_key: bool) -> Result<Vec<u8>, String> {
+    fn units<'p>(&self, picture: &'p [u8]) -> Option<Vec<&'p [u8]>> {
         let units = match self.length_bytes {
             Some(length_bytes) => units_by_length(picture, length_bytes),
             None => units_by_start_code(picture),
         };
-        let units = units.filter(|units| !units.is_empty()).ok_or("a picture's units are cut")?;
+        units.filter(|units| !units.is_empty())
+    }
+
+    /// Whether no other picture refers to this one, so that it can be left out (`nal_ref_idc` 0 in
+    /// H.264; in H.265 a sub-layer non-reference picture of the highest temporal layer).
+    pub(crate) fn is_disposable(&mut self, picture: &[u8]) -> bool {
+        let Some(units) = self.units(picture) else { return false };
+        let slices: Vec<&[u8]> = units.into_iter().filter(|unit| self.is_slice(unit)).collect();
+        let layer = |slice: &&[u8]| match self.codec {
+            VideoCodec::H265 => slice.get(1).map_or(0, |second| second & 7),
+            VideoCodec::H264 | VideoCodec::None => 0,
+        };
+        let layer = slices.iter().map(layer).max().unwrap_or(0);
+        self.highest_layer = self.highest_layer.max(layer);
+        let is_referred_to = |slice: &&[u8]| match (self.codec, slice.first()) {
+            // Types up to 14 are odd where later pictures of the layer may refer to them.
+            (VideoCodec::H265, Some(first)) => (first >> 1) > 14 || (first >> 1) & 1 == 1,
+            (VideoCodec::H264 | VideoCodec::None, Some(first)) => (first >> 5) & 3 != 0,
+            (_, None) => true,
+        };
+        !slices.is_empty() && layer == self.highest_layer && !slices.iter().any(is_referred_to)
+    }
+
+    /// Whether a unit holds pixels.
+    fn is_slice(&self, unit: &[u8]) -> bool {
+        let first = unit.first().copied().unwrap_or(0);
+        match self.codec {
+            VideoCodec::H265 => (first >> 1) & 0x3F < 32,
+            VideoCodec::H264 | VideoCodec::None => (1..=5).contains(&(first & 0x1F)),
+        }
+    }
+
+    pub(crate) fn packet(&mut self, picture: &[u8], is_key: bool) -> Result<Vec<u8>, String> {
+        let units = self.units(picture).ok_or("a picture's units are cut")?;
         let kinds: Vec<Unit> = units.iter().map(|unit| self.kind_of(unit)).collect();
         let has_sets = kinds.contains(&Unit::FirstSet);
         if has_sets {
@@ -180,6 +215,29 @@ mod tests {
 
     fn joined(units: &[&[u8]]) -> Vec<u8> {
         units.iter().flat_map(|unit| [&START, *unit].concat()).collect()
+    }
+
+    #[test]
+    fn pictures_that_no_other_refers_to_are_disposable() {
+        let mut avc = ByteStream::new(VideoCodec::H264, None).unwrap();
+        // Delimiter and slices: with nal_ref_idc 0, with 2, one of each, and none at all.
+        for (units, expected) in [
+            (&[&[9u8, 0x10][..], &[0x01, 5], &[0x01, 6]][..], true),
+            (&[&[0x41, 5]], false),
+            (&[&[0x01, 5], &[0x41, 5]], false),
+            (&[&IDR], false),
+            (&[&[9, 0x10], &SPS], false),
+        ] {
+            assert_eq!(avc.is_disposable(&joined(units)), expected, "{units:?}");
+        }
+        assert!(!avc.is_disposable(&[]));
+        // TRAIL_N, TRAIL_R, RASL_N and CRA of the only layer.
+        let mut hevc = ByteStream::new(VideoCodec::H265, None).unwrap();
+        let slice = |kind: u8, layer: u8| joined(&[&[kind << 1, layer + 1, 7]]);
+        let kinds = [0, 1, 8, 21].map(|kind| hevc.is_disposable(&slice(kind, 0)));
+        assert_eq!(kinds, [true, false, true, false]);
+        // Pictures of a higher layer may refer to it.
+        assert!(hevc.is_disposable(&slice(0, 1)) && !hevc.is_disposable(&slice(0, 0)));
     }
 
     #[test]

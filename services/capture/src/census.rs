@@ -10,6 +10,11 @@ pub(crate) struct Census {
 }
 
 impl Census {
+    /// Counts frames that were left out before the next one.
+    pub(crate) fn skip(&mut self, frames: u64) {
+        self.previous.iter_mut().for_each(|(sequence, _)| *sequence += frames);
+    }
+
     /// Numbers the next decoded frame. `time` is its time stamp in the stream; `frame` is the frame
     /// period, for streams without time stamps. Returns its sequence number and its time since the
     /// stream's first frame.
@@ -43,6 +48,7 @@ mod tests {
         assert_eq!(census.enter(Some(start), Some(FRAME)), (0, Duration::ZERO));
         assert_eq!(census.enter(Some(start + FRAME), Some(FRAME)), (1, FRAME));
         assert_eq!(census.enter(None, Some(FRAME)), (2, 2 * FRAME));
-        assert_eq!(census.enter(Some(start + 5 * FRAME), Some(FRAME)), (3, 5 * FRAME));
+        census.skip(2);
+        assert_eq!(census.enter(Some(start + 5 * FRAME), Some(FRAME)), (5, 5 * FRAME));
     }
 }

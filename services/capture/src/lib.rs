@@ -47,6 +47,7 @@ mod folder;
 mod holding;
 mod inertial;
 mod input;
+mod late_frames;
 mod mailbox;
 mod packet_port;
 mod packet_tap;

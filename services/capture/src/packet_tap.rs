@@ -14,6 +14,7 @@ use gstreamer::prelude::*;
 use crate::arrivals::Arrivals;
 use crate::byte_stream::ByteStream;
 use crate::decoder;
+use crate::late_frames::LateFrames;
 
 /// Limit for the size of waiting packets, bytes: beyond it the oldest are dropped.
 const MOST_BYTES: usize = 64_000_000;
@@ -56,15 +57,33 @@ impl PacketTap {
         Arc::new(Mutex::new(Self { are_wanted, ..Self::default() }))
     }
 
-    /// Takes the buffers that enter an element, if it is a decoder.
-    pub(crate) fn attach(tap: &Arc<Mutex<Self>>, element: &gst::Element, arrivals: &Arc<Arrivals>) {
-        let (true, Some(pad)) = (decoder::is_decoder(element), element.static_pad("sink")) else {
+    /// Takes the buffers that enter an element, if it is a decoder. While it is behind, those that
+    /// no other frame needs go no farther.
+    pub(crate) fn attach(
+        tap: &Arc<Mutex<Self>>,
+        element: &gst::Element,
+        arrivals: &Arc<Arrivals>,
+        late: &Arc<LateFrames>,
+    ) {
+        let pads = (element.static_pad("sink"), element.static_pad("src"));
+        let (true, (Some(pad), Some(output))) = (decoder::is_decoder(element), pads) else {
             return;
         };
-        let (tap, arrivals) = (Arc::clone(tap), Arc::clone(arrivals));
+        let decoded = Arc::clone(late);
+        output.add_probe(gst::PadProbeType::BUFFER, move |pad, info| {
+            info.buffer().into_iter().for_each(|buffer| decoded.note_decoded(pad, buffer));
+            gst::PadProbeReturn::Ok
+        });
+        let (tap, arrivals, late) = (Arc::clone(tap), Arc::clone(arrivals), Arc::clone(late));
         pad.add_probe(gst::PadProbeType::BUFFER, move |pad, info| {
             if let (Some(buffer), Some(caps)) = (info.buffer(), pad.current_caps()) {
-                lock(&tap).enter(pad, caps, buffer, &arrivals);
+                let mut tap = lock(&tap);
+                tap.enter(pad, caps, buffer, &arrivals);
+                if late.must_drop() && tap.is_disposable(buffer) {
+                    late.note(buffer.pts());
+                    // With `Drop`, GStreamer would release the buffer again.
+                    return gst::PadProbeReturn::Handled;
+                }
             }
             gst::PadProbeReturn::Ok
         });
@@ -109,6 +128,12 @@ impl PacketTap {
             let Some(oldest) = self.waiting.pop_front() else { break };
             self.waiting_bytes -= oldest.bytes.len();
         }
+    }
+
+    /// Whether no other frame refers to one of the last stream.
+    fn is_disposable(&mut self, buffer: &gst::BufferRef) -> bool {
+        let Some((_, Some((_, stream)))) = &mut self.stream else { return false };
+        buffer.map_readable().is_ok_and(|bytes| stream.is_disposable(bytes.as_slice()))
     }
 
     /// Notes that the first frame was decoded, and its stream time.

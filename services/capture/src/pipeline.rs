@@ -16,6 +16,7 @@ use crate::decoder::Threading;
 use crate::explain::Failure;
 use crate::holding::DecoderWatch;
 use crate::input::{Input, element};
+use crate::late_frames::LateFrames;
 use crate::mailbox::Mailbox;
 use crate::packet_tap::PacketTap;
 use crate::picture::LUMA_FIRST;
@@ -57,13 +58,14 @@ pub(crate) fn build(
     decodebin.set_property("expose-all-streams", false);
     let arrivals = Arrivals::of(&pipeline);
     let decoders = DecoderWatch::new(Arc::clone(&arrivals));
+    let (sink, late) = sink(frames, &arrivals, packets);
     // Packets of a recorded flight are not published again.
     let is_tapped = !matches!(input, Input::Flight(..));
     // A description may contain a decoder, whose settings are not changed.
     for element in decoder::elements(&pipeline) {
         decoders.attach(&element);
         if is_tapped {
-            PacketTap::attach(packets, &element, &arrivals);
+            PacketTap::attach(packets, &element, &arrivals, &late);
         }
     }
     let watching = Arc::clone(&decoders);
@@ -72,11 +74,10 @@ pub(crate) fn build(
         decoder::configure(element, threading);
         watching.attach(element);
         if is_tapped {
-            PacketTap::attach(&tapping, element, &arrived);
+            PacketTap::attach(&tapping, element, &arrived, &late);
         }
     });
 
-    let sink = sink(Arc::clone(frames), arrivals, Arc::clone(packets));
     pipeline.add(&sink).map_err(|error| CaptureError::GStreamer(error.to_string()))?;
     let end = match ahead {
         0 => sink.clone().upcast(),
@@ -118,17 +119,27 @@ fn waiting_room(
 
 /// The sink that fills the mailbox. It accepts all formats with a luma plane in system memory.
 fn sink(
-    frames: Arc<Frames>,
-    arrivals: Arc<Arrivals>,
-    packets: Arc<Mutex<PacketTap>>,
-) -> gst_app::AppSink {
-    let mut census = Census::default();
+    frames: &Arc<Frames>,
+    arrivals: &Arc<Arrivals>,
+    packets: &Arc<Mutex<PacketTap>>,
+) -> (gst_app::AppSink, Arc<LateFrames>) {
     let caps = gst_video::VideoCapsBuilder::new().format_list(LUMA_FIRST.iter().copied()).build();
-    let ended = Arc::clone(&frames);
+    let sink = gst_app::AppSink::builder()
+        .caps(&caps)
+        .enable_last_sample(false)
+        .qos(false)
+        .max_buffers(1)
+        .build();
+    let late = Arc::new(LateFrames::new(&sink));
+    let mut census = Census::default();
+    let (frames, ended) = (Arc::clone(frames), Arc::clone(frames));
+    let (arrivals, packets, left_out) =
+        (Arc::clone(arrivals), Arc::clone(packets), Arc::clone(&late));
     let callbacks = gst_app::AppSinkCallbacks::builder()
         .new_sample(move |sink| {
             let arrival_ns = monotonic_ns();
             let sample = sink.pull_sample().map_err(|_| gst::FlowError::Eos)?;
+            census.skip(left_out.take_before(sample.buffer().and_then(gst::BufferRef::pts)));
             let decoded = stamped(sink, sample, &mut census, &arrivals, arrival_ns);
             if decoded.sequence == 0 {
                 lock(&packets).begin(census.first);
@@ -140,13 +151,7 @@ fn sink(
         })
         .eos(move |_| ended.end())
         .build();
-    let sink = gst_app::AppSink::builder()
-        .caps(&caps)
-        .enable_last_sample(false)
-        .qos(false)
-        .max_buffers(1)
-        .callbacks(callbacks)
-        .build();
+    sink.set_callbacks(callbacks);
     // Announce that rows may be padded: otherwise some decoders copy each frame into packed rows.
     if let Some(pad) = sink.static_pad("sink") {
         pad.add_probe(gst::PadProbeType::QUERY_DOWNSTREAM, |_, info| {
@@ -159,7 +164,7 @@ fn sink(
             }
         });
     }
-    sink
+    (sink, late)
 }
 
 fn stamped(

@@ -154,6 +154,29 @@ fn a_loop_starts_again_from_zero() {
     });
 }
 
+/// A recording with a thousand frames in a second, of which many are B-frames.
+#[test]
+fn a_decoder_that_falls_behind_leaves_out_frames_that_no_other_needs() {
+    watched(|| {
+        let scratch = Scratch::new();
+        let video = "videotestsrc num-buffers=300 pattern=ball ! \
+             video/x-raw,format=I420,width=1280,height=640,framerate=1000/1";
+        let coded = "x265enc speed-preset=ultrafast ! h265parse ! matroskamux";
+        let clip = scratch.clip("fast.mkv", &format!("{video} ! {coded}"));
+        let mut numbers = Vec::new();
+        let params = SourceParameters { flow: Flow::Latest, ..SourceParameters::new(1280, 640) };
+        let end = play(&mut open(&clip, params), |picture| {
+            let stamp = picture.facts();
+            assert_eq!(stamp.sequence as i64, stamp.stream_ns / 1_000_000, "{stamp:?}");
+            numbers.push(stamp.sequence);
+        });
+        assert!(matches!(end, EndReason::Complete { .. }), "{end}");
+        let skipped = 300 - numbers.len();
+        assert!(skipped >= 20, "{skipped} of 300 frames are left out");
+        assert!(numbers.is_sorted() && numbers.last().is_some_and(|last| *last >= 297));
+    });
+}
+
 #[test]
 fn cut_recordings_play_to_where_they_were_cut() {
     watched(|| {
