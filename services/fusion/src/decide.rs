@@ -328,15 +328,16 @@ pub(crate) fn with_search(
 }
 
 /// Whether a pose from corners is acceptable as a measurement: if enough markers fit and its
-/// covariance is small enough. With a confirmed track `min_markers` must fit. `lead` is its own
-/// over all others ([`flockeye_geometry::pose::lead`]).
+/// covariance is small enough. With a confirmed track, whose prediction is `prior`, `min_markers`
+/// must fit. One marker alone is enough only where the prediction itself could not be false. `lead`
+/// is the pose's lead over all others ([`flockeye_geometry::pose::lead`]).
 pub(crate) fn of_corners(
     solution: &PoseSolution,
-    is_confirmed: bool,
+    prior: Option<&PoseEstimate>,
     min_markers: usize,
     lead: f64,
 ) -> CornerVerdict {
-    let wanted = if is_confirmed { min_markers } else { MARKERS_WITHOUT_TRACK };
+    let wanted = if prior.is_some() { min_markers } else { MARKERS_WITHOUT_TRACK };
     if solution.inlier_markers.len() < wanted {
         return CornerVerdict::TooFewMarkers { wanted };
     }
@@ -346,13 +347,17 @@ pub(crate) fn of_corners(
         return CornerVerdict::Ambiguous { lead };
     }
     let covariance = solution.inflated_covariance();
-    if is_precise_by_corners(&covariance) {
-        return CornerVerdict::Enough;
+    if !is_precise_by_corners(&covariance) {
+        return CornerVerdict::TooUncertain {
+            position_m: position_deviation_m(&covariance),
+            rotation_rad: rotation_deviation_rad(&covariance),
+        };
     }
-    CornerVerdict::TooUncertain {
-        position_m: position_deviation_m(&covariance),
-        rotation_rad: rotation_deviation_rad(&covariance),
+    let is_prior_precise = prior.is_some_and(|prior| is_precise_by_corners(&prior.covariance));
+    if solution.inlier_markers.len() < MARKERS_WITHOUT_TRACK && !is_prior_precise {
+        return CornerVerdict::OneMarker;
     }
+    CornerVerdict::Enough
 }
 
 /// Chooses between the picture and the corners alone: a precise pose comes first, then one from the
@@ -363,10 +368,14 @@ pub(crate) fn with_corners(
     corner_poses: &[CornerPose],
 ) -> Decision {
     let of_use = |pose: &CornerPose| {
-        let is_enough =
-            matches!(pose.verdict, CornerVerdict::Enough | CornerVerdict::TooUncertain { .. });
+        let corrects_track = match pose.verdict {
+            CornerVerdict::Enough
+            | CornerVerdict::OneMarker
+            | CornerVerdict::TooUncertain { .. } => true,
+            CornerVerdict::TooFewMarkers { .. } | CornerVerdict::Ambiguous { .. } => false,
+        };
         pose.is_chosen
-            && is_enough
+            && corrects_track
             && pose.solution.inflated_covariance().iter().all(|x| x.is_finite())
     };
     let Some(index) = corner_poses.iter().position(of_use) else { return decision };

@@ -96,6 +96,9 @@ pub enum CornerVerdict {
         /// The required number.
         wanted: usize,
     },
+    /// One marker fits, and the track's prediction is not certain enough to rule out that it is
+    /// misread or blurred. The pose may only correct the track.
+    OneMarker,
     /// Another pose explains the corners and the track almost as well: the lead, in log odds.
     Ambiguous {
         /// Log odds of the chosen pose against all others.

@@ -152,8 +152,16 @@ fn corners_with_a_likely_mirror_pose_are_no_measurement() {
         inlier_markers: vec![3],
         inlier_corners: 4,
     };
-    let decided = |lead: f64| of_corners(&solution, true, 1, lead);
+    let prior = |deviation: f64| PoseEstimate {
+        camera_from_markers: solution.camera_from_markers,
+        covariance: Matrix6::identity() * deviation.powi(2),
+    };
+    let decided = |lead: f64| of_corners(&solution, Some(&prior(0.01)), 1, lead);
     assert_eq!(decided(f64::INFINITY), CornerVerdict::Enough);
+    let beside_vague_track = of_corners(&solution, Some(&prior(0.1)), 1, f64::INFINITY);
+    assert_eq!(beside_vague_track, CornerVerdict::OneMarker);
+    let two = PoseSolution { inlier_markers: vec![3, 4], ..solution.clone() };
+    assert_eq!(of_corners(&two, Some(&prior(0.1)), 1, f64::INFINITY), CornerVerdict::Enough);
     assert_eq!(decided(1.0), CornerVerdict::Ambiguous { lead: 1.0 });
     let corners = [CornerPose { verdict: decided(1.0), is_chosen: true, solution }];
     assert_eq!(with_corners(Decision::default(), &[], &corners).chosen, None);

@@ -61,14 +61,13 @@ impl PassInputs<'_> {
     pub(crate) fn measure(&self, aligner: &Aligner) -> Trial {
         let solutions = solve(self.body, &self.decoded).unwrap_or_default();
         let chosen = choose(&solutions, self.prior.confirmed());
-        let is_confirmed = self.prior.confirmed().is_some();
         let corner_poses: Vec<CornerPose> = solutions
             .iter()
             .map(|solution| CornerPose {
                 is_chosen: chosen.is_some_and(|chosen| std::ptr::eq(chosen, solution)),
                 verdict: decide::of_corners(
                     solution,
-                    is_confirmed,
+                    self.prior.confirmed(),
                     self.trial.pass.min_markers(),
                     lead(&solutions, solution, self.prior.confirmed()),
                 ),

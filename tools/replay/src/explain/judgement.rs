@@ -306,6 +306,10 @@ fn by_corners(known: &FrameKnowledge) -> Option<(DecisiveStep, String)> {
         CornerVerdict::TooFewMarkers { wanted } => format!(
             "{agreeing} markers agree on a pose and {wanted} are needed, because the picture confirmed none"
         ),
+        CornerVerdict::OneMarker => {
+            "one marker agrees, its track is too uncertain for that, and the picture confirmed none"
+                .to_owned()
+        }
         CornerVerdict::Ambiguous { lead } => format!(
             "another pose explains its corners almost as well (log odds {lead:.1}), and the picture confirmed neither"
         ),

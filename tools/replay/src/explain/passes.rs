@@ -88,6 +88,9 @@ fn corner_facts(frames: &Mounting<'_>, trial: &Trial, pose: &CornerPose) -> Corn
             CornerVerdict::TooFewMarkers { wanted } => {
                 format!("{} markers agree, {wanted} are needed without the picture", agreeing.len())
             }
+            CornerVerdict::OneMarker => {
+                "one marker alone, and the track is uncertain: it may only correct it".to_owned()
+            }
             CornerVerdict::Ambiguous { lead } => {
                 format!("ambiguous without the picture: its log odds against others are {lead:.1}")
             }

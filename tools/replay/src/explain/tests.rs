@@ -351,6 +351,7 @@ fn poses_that_were_found_and_not_published_are_told() {
 fn corners_that_are_not_enough_are_told() {
     for verdict in [
         CornerVerdict::TooFewMarkers { wanted: 2 },
+        CornerVerdict::OneMarker,
         CornerVerdict::TooUncertain { position_m: 0.1, rotation_rad: 0.2 },
     ] {
         let solution = flockeye_geometry::pose::PoseSolution {
