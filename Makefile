@@ -121,15 +121,19 @@ golden-write golden-compare: golden-%: setup
 	cargo build --profile tested --workspace --bins --locked
 	target/tested/golden $* target/golden $(FLIGHTS)
 
-# Processor instructions of the cores on the first frames of a recording: one program without supervisor or
-# processes, one thread, decoded frames given. The count repeats, and is compared with that of another commit.
+# Processor instructions of the cores on the first 30 frames of two recordings: one program without supervisor or
+# processes, one thread, decoded frames given. The counts repeat, and are compared with those of another commit.
 DATA = $(or $(FLOCKEYE_DATA),../shared/data)
 INSTRUCTIONS = cargo bench --profile tested --locked --workspace $(FAULTS) --bench instructions
 instructions: cargo
 	@command -v valgrind >/dev/null || { echo "valgrind is missing. Cure: apt-get install valgrind"; exit 1; }
-	$(INSTRUCTIONS) -- decode $(abspath $(DATA))/flight1/flight1.mp4 30 $(CURDIR)/target/instructions.frames
-	$(INSTRUCTIONS) --config 'target."cfg(all())".runner = "valgrind --tool=callgrind --callgrind-out-file=/dev/null --toggle-collect=*instructions::fly*"' \
-		-- fly $(CURDIR)/target/instructions.frames $(abspath $(DATA))/flight1/flight1.mp4 $(abspath $(DATA))/bodies.json
+	@for flight in flight1 flight3; do \
+		video=$(abspath $(DATA))/$$flight/$$flight.mp4; frames=$(CURDIR)/target/instructions.frames; \
+		echo "$$flight:"; \
+		$(INSTRUCTIONS) -- decode $$video 30 $$frames && \
+		$(INSTRUCTIONS) --config 'target."cfg(all())".runner = "valgrind --tool=callgrind --callgrind-out-file=/dev/null --toggle-collect=*instructions::fly*"' \
+			-- fly $$frames $$video $(abspath $(DATA))/bodies.json || exit 1; \
+	done
 
 # Tables that documents link to: Python's standard library alone, but for the part codings.
 results: $(if $(FLOCKEYE),,build)
