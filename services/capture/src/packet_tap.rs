@@ -79,7 +79,9 @@ impl PacketTap {
             if let (Some(buffer), Some(caps)) = (info.buffer(), pad.current_caps()) {
                 let mut tap = lock(&tap);
                 tap.enter(pad, caps, buffer, &arrivals);
-                if late.must_drop() && tap.is_disposable(buffer) {
+                // Asked for each frame: it learns the stream's layers, too.
+                let is_disposable = tap.is_disposable(buffer);
+                if late.must_drop() && is_disposable {
                     late.note(buffer.pts());
                     // With `Drop`, GStreamer would release the buffer again.
                     return gst::PadProbeReturn::Handled;
