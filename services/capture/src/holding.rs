@@ -25,8 +25,9 @@ const WINDOW: u32 = 30;
 const MATCHED: u32 = 24;
 /// Implausible number of frames inside: the pictures then have other time stamps than the frames.
 const MOST_INSIDE: usize = 64;
-/// Increase of the wait before the decoder from which it counts as too slow, nanoseconds.
-const BEHIND_NS: i64 = 100_000_000;
+/// Increase of the wait before the decoder, or delay of a paced recording's frames behind it, from
+/// which the decoder counts as too slow, nanoseconds.
+pub(crate) const BEHIND_NS: i64 = 100_000_000;
 
 /// A problem of a decoder.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

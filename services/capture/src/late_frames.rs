@@ -15,6 +15,8 @@ use gstreamer as gst;
 use gstreamer::prelude::*;
 use gstreamer_app as gst_app;
 
+use crate::holding::BEHIND_NS;
+
 /// Least number of frames between two that are dropped: three quarters of all are decoded.
 const KEPT_FRAMES: u64 = 3;
 
@@ -42,10 +44,9 @@ impl LateFrames {
     }
 
     /// Notes a decoded frame that leaves the decoder through `pad`. A decoder that keeps up works
-    /// some frames ahead. It is behind if the frame is due within its own duration.
+    /// some frames ahead.
     pub(crate) fn note_decoded(&self, pad: &gst::Pad, buffer: &gst::BufferRef) {
-        let duration_ns = buffer.duration().map_or(0, |duration| duration.nseconds() as i64);
-        let is_behind = self.lead_ns(pad, buffer).is_some_and(|lead_ns| lead_ns < duration_ns);
+        let is_behind = self.lead_ns(pad, buffer).is_some_and(|lead_ns| lead_ns < -BEHIND_NS);
         self.is_behind.store(is_behind, Ordering::Relaxed);
     }
 
