@@ -25,7 +25,7 @@ pub use ippe::squared_distance_from_square;
 pub use rays::{CornerRay, keep_sharpest};
 pub use residual::moved;
 
-use nalgebra::{Isometry3, Matrix6, Vector6};
+use nalgebra::{Isometry3, Matrix6, UnitQuaternion, Vector6};
 use serde::{Deserialize, Serialize};
 
 /// Scale of the robust (Cauchy) cost, in standard deviations: errors well below it count fully.
@@ -57,6 +57,19 @@ pub fn pose_difference(found: &Isometry3<f64>, expected: &Isometry3<f64>) -> Vec
         .fixed_rows_mut::<3>(3)
         .copy_from(&(found.rotation * expected.rotation.inverse()).scaled_axis());
     difference
+}
+
+/// The covariance of a pose, position (m), then rotation vector (rad), in axes that are turned by
+/// `to_from_source`.
+pub fn turned_covariance(
+    to_from_source: &UnitQuaternion<f64>,
+    covariance: &Matrix6<f64>,
+) -> Matrix6<f64> {
+    let rotation = to_from_source.to_rotation_matrix();
+    let mut both = Matrix6::zeros();
+    both.fixed_view_mut::<3, 3>(0, 0).copy_from(rotation.matrix());
+    both.fixed_view_mut::<3, 3>(3, 3).copy_from(rotation.matrix());
+    both * covariance * both.transpose()
 }
 
 /// A pose that explains the rays, or most of them.

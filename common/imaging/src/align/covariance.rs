@@ -46,51 +46,8 @@ const MIN_FREE_SHARE: f64 = 0.5;
 /// Least share of the residuals' squares that is left after the last step.
 const MIN_UNEXPLAINED_SHARE: f64 = 0.5;
 
-/// Covariance of the pose in the patch's axes: position (m), then rotation vector (rad). `None`
-/// where most residuals are outliers, or the result is not finite.
-///
-/// `residuals` are those of the set's samples, `None` where a sample is not usable. `normal` is the
-/// normal matrix, factored, and `from_samples` its part that comes from samples, not from priors.
-/// `explained` is the part of the residuals' weighted squares, in standard deviations, that the
-/// last step explains, priors included. `wandered` is the motion of the pose after its first steps:
-/// the sum of all steps, in standard deviations of the inverse normal matrix.
-pub(super) fn pose_covariance(
-    set: &SampleSet,
-    patch: &Patch,
-    residuals: &[Option<f32>],
-    normal: &Cholesky<f64, Dyn>,
-    from_samples: &DMatrix<f64>,
-    explained: f64,
-    wandered: f64,
-) -> Option<Matrix6<f64>> {
-    let inverse = normal.inverse();
-    let Dependence { estimator, count, correlation } = Dependence::of(set, patch, residuals);
-    // Effective degrees of freedom of a ridge regression: the share of each unknown that samples
-    // determine and priors do not.
-    let independent = count as f64 / correlation;
-    let absorbed = inverse.component_mul(from_samples).sum();
-    let free = (independent - absorbed).max(MIN_FREE_SHARE * independent);
-    let unexplained = unexplained_share(explained, estimator.weighted_squares);
-    let factor = estimator.factor()? * unexplained * correlated(correlation) * independent / free;
-    // Divided by the factor, it counts standard deviations of the pose, not of the normal matrix.
-    let wandering = 1.0 + (WANDERING * wandered).powi(2) / factor;
-    let pose: Matrix6<f64> = inverse.fixed_view::<6, 6>(0, 0) * (factor * wandering);
-    pose.iter().all(|x| x.is_finite()).then_some((pose + pose.transpose()) / 2.0)
-}
-
-/// How many times as much the samples count in the normal equations as independent measurements
-/// would, apart from what the unknowns absorb. `None` where most residuals are outliers.
-pub(super) fn dependence(set: &SampleSet, patch: &Patch, residuals: &[Option<f32>]) -> Option<f64> {
-    let Dependence { estimator, correlation, .. } = Dependence::of(set, patch, residuals);
-    Some(estimator.factor()? * correlated(correlation))
-}
-
-fn correlated(correlation: f64) -> f64 {
-    CORRELATION_FACTOR * correlation.powf(CORRELATION_EXPONENT)
-}
-
 /// How residuals depend on each other, and how normal they are.
-struct Dependence {
+pub(super) struct Dependence {
     estimator: MEstimator,
     /// Number of usable samples.
     count: usize,
@@ -99,7 +56,8 @@ struct Dependence {
 }
 
 impl Dependence {
-    fn of(set: &SampleSet, patch: &Patch, residuals: &[Option<f32>]) -> Self {
+    /// That of a set's samples, from their `residuals`, `None` where a sample is not usable.
+    pub(super) fn of(set: &SampleSet, patch: &Patch, residuals: &[Option<f32>]) -> Self {
         let mut estimator = MEstimator::default();
         let influences: Vec<(usize, f32)> = set
             .samples
@@ -113,6 +71,43 @@ impl Dependence {
             .collect();
         let correlation = residual_correlation(patch.width, patch.height, &influences);
         Self { estimator, count: influences.len(), correlation }
+    }
+
+    /// How many times as much the samples count in the normal equations as independent measurements
+    /// would, apart from what the unknowns absorb. `None` where most residuals are outliers.
+    pub(super) fn weight(&self) -> Option<f64> {
+        let correlated = CORRELATION_FACTOR * self.correlation.powf(CORRELATION_EXPONENT);
+        Some(self.estimator.factor()? * correlated)
+    }
+
+    /// Covariance of the pose in the patch's axes: position (m), then rotation vector (rad). `None`
+    /// where most residuals are outliers, or the result is not finite.
+    ///
+    /// `normal` is the normal matrix, factored, and `from_samples` its part that comes from samples,
+    /// not from priors. `explained` is the part of the residuals' weighted squares, in standard
+    /// deviations, that the last step explains, priors included. `wandered` is the motion of the
+    /// pose after its first steps: the sum of all steps, in standard deviations of the inverse
+    /// normal matrix.
+    pub(super) fn pose_covariance(
+        &self,
+        normal: &Cholesky<f64, Dyn>,
+        from_samples: &DMatrix<f64>,
+        explained: f64,
+        wandered: f64,
+    ) -> Option<Matrix6<f64>> {
+        let inverse = normal.inverse();
+        // Effective degrees of freedom of a ridge regression: the share of each unknown that
+        // samples determine and priors do not.
+        let independent = self.count as f64 / self.correlation;
+        let absorbed = inverse.component_mul(from_samples).sum();
+        let free = (independent - absorbed).max(MIN_FREE_SHARE * independent);
+        let unexplained = unexplained_share(explained, self.estimator.weighted_squares);
+        let factor = self.weight()? * unexplained * independent / free;
+        // Divided by the factor, it counts standard deviations of the pose, not of the normal
+        // matrix.
+        let wandering = 1.0 + (WANDERING * wandered).powi(2) / factor;
+        let pose: Matrix6<f64> = inverse.fixed_view::<6, 6>(0, 0) * (factor * wandering);
+        pose.iter().all(|x| x.is_finite()).then_some((pose + pose.transpose()) / 2.0)
     }
 }
 

@@ -58,7 +58,7 @@ pub use evidence::Evidence;
 pub use patch::{Motion, Picture};
 pub use print::{BodyPrint, MAX_CELLS, PrintError};
 
-use flockeye_geometry::pose::PoseEstimate;
+use flockeye_geometry::pose::turned_covariance;
 use nalgebra::{Isometry3, Matrix2, Matrix6, Unit, Vector3};
 
 use evidence::compare;
@@ -219,11 +219,11 @@ impl PreparedView {
         let motion = seen_px(rate_in_camera * MOMENT_S) - seen_px(Vector3::zeros());
         let motion = Unit::try_new(motion, MIN_MOTION_PX);
         let path_px = seen_px(path_rad) - seen_px(Vector3::zeros());
-        let pose = options.predicted.and_then(|predicted| {
-            let scale = options.covariance_scale * options.coding_covariance_scale;
-            let covariance = predicted.covariance / scale;
-            PosePrior::new(&patch.view_from_camera, &PoseEstimate { covariance, ..predicted })
-        });
+        // The result's covariance is multiplied by these, so the prior counts as much more.
+        let scale = options.covariance_scale * options.coding_covariance_scale;
+        let pose = options
+            .predicted
+            .and_then(|predicted| PosePrior::new(&patch.view_from_camera, &predicted, scale));
         let prior = Prior { pose, ..Prior::new(blur_px, path_px, motion, magnification) };
         Ok(Self { patch, prior })
     }
@@ -256,13 +256,9 @@ impl PreparedView {
         let shown = fit.covariance * scale + along_sight;
         let coded = fit.covariance * (scale * options.coding_covariance_scale) + along_sight;
         let camera_from_patch = patch.view_from_camera.inverse();
-        let turn = camera_from_patch.to_rotation_matrix().into_inner();
-        let mut axes = Matrix6::zeros();
-        axes.fixed_view_mut::<3, 3>(0, 0).copy_from(&turn);
-        axes.fixed_view_mut::<3, 3>(3, 3).copy_from(&turn);
         Ok(Alignment {
             camera_from_markers: camera_from_patch * fit.patch_from_markers,
-            covariance: axes * coded * axes.transpose(),
+            covariance: turned_covariance(&camera_from_patch, &coded),
             is_precise: is_precise(&shown),
             stretch_px2: prior.stretch_px2(&fit.state.blur),
             evidence,

@@ -8,9 +8,11 @@
 //! Residuals are weighted by Cauchy's function with a residual sigma for each facet, so that a
 //! propeller or a shadow on one facet does not affect the others.
 
+use std::cell::LazyCell;
+
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn, Isometry3, Matrix6};
 
-use super::covariance::{dependence, pose_covariance};
+use super::covariance::Dependence;
 use super::levels::fit_levels;
 use super::model::{Scene, rim_shift_px};
 use super::normal_equations::SampleSet;
@@ -76,11 +78,12 @@ pub(super) fn fit(
         let mut sums = set.sum(patch, &scene, &state);
         let from_samples = sums.normal.clone();
         add_priors(&mut sums.normal, &mut sums.right, &state, layout, prior);
+        let dependence = LazyCell::new(|| Dependence::of(&set, patch, &sums.residuals));
         let uniform = ..layout.uniform_count;
         let mut guided = sums.normal.view_range(uniform, uniform).into_owned();
         let mut right = sums.right.rows_range(uniform).into_owned();
         if let Some(pose) = &prior.pose
-            && let Some(weight) = dependence(&set, patch, &sums.residuals)
+            && let Some(weight) = dependence.weight()
         {
             pose.add(&mut guided, &mut right, &state.patch_from_markers, weight);
         }
@@ -95,28 +98,22 @@ pub(super) fn fit(
         let is_converged = moved < CONVERGED_PX && !is_straight;
         let is_last = is_converged || iteration >= max_iterations;
         if has_occlusion && is_last {
-            let covariance = |normal: &_, from_samples: &_, explained: f64| {
-                let residuals = &sums.residuals;
-                pose_covariance(&set, patch, residuals, normal, from_samples, explained, wandered)
-            };
-            // The prediction has no part in this step: the filter adds it.
-            let with_gradients = || {
-                let normal = sums.normal.clone().cholesky()?;
-                let step = normal.solve(&sums.right);
-                let mut state = before;
+            // The prediction has no part in the last step: the filter adds it.
+            let measured = |unknowns: usize| {
+                let unknowns = ..unknowns;
+                let normal = sums.normal.view_range(unknowns, unknowns).into_owned().cholesky()?;
+                let right = sums.right.rows_range(unknowns).into_owned();
+                let step = normal.solve(&right);
+                let mut state = before.clone();
                 apply_step(&mut state, &step, layout, focal_px)?;
-                let covariance = covariance(&normal, &from_samples, step.dot(&sums.right))?;
+                let from_samples = from_samples.view_range(unknowns, unknowns).into_owned();
+                let explained = step.dot(&right);
+                let covariance =
+                    dependence.pose_covariance(&normal, &from_samples, explained, wandered)?;
                 Some((state.patch_from_markers, covariance))
             };
-            let (patch_from_markers, covariance) = match with_gradients() {
-                Some(found) => found,
-                None => {
-                    let from_samples = from_samples.view_range(uniform, uniform).into_owned();
-                    let normal =
-                        sums.normal.view_range(uniform, uniform).into_owned().cholesky()?;
-                    (state.patch_from_markers, covariance(&normal, &from_samples, 0.0)?)
-                }
-            };
+            let (patch_from_markers, covariance) =
+                measured(layout.count).or_else(|| measured(layout.uniform_count))?;
             return Some(BodyFit {
                 state,
                 patch_from_markers,

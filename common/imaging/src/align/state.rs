@@ -1,6 +1,6 @@
 //! The unknowns of an alignment: their values, their places in the normal equations, their priors.
 
-use flockeye_geometry::pose::{PoseEstimate, pose_difference};
+use flockeye_geometry::pose::{PoseEstimate, pose_difference, turned_covariance};
 use nalgebra::{
     DMatrix, DVector, Isometry3, Matrix2, Matrix6, Translation3, Unit, UnitQuaternion, Vector2,
     Vector3,
@@ -103,25 +103,22 @@ pub(super) struct Prior {
 #[derive(Debug, Clone, Copy)]
 pub(super) struct PosePrior {
     patch_from_markers: Isometry3<f64>,
-    /// Inverse covariance: position (m), then rotation vector (rad), in the patch's axes.
+    /// Inverse covariance, scaled: position (m), then rotation vector (rad), in the patch's axes.
     information: Matrix6<f64>,
 }
 
 impl PosePrior {
-    /// A prediction in the camera frame, for a patch with these axes. `None` where its covariance
-    /// has no inverse.
+    /// A prediction in the camera frame, for a patch with these axes. Its information is multiplied
+    /// by `scale`. `None` where its covariance has no inverse.
     pub(super) fn new(
         patch_from_camera: &UnitQuaternion<f64>,
         predicted: &PoseEstimate,
+        scale: f64,
     ) -> Option<Self> {
-        let turn = patch_from_camera.to_rotation_matrix().into_inner();
-        let mut axes = Matrix6::zeros();
-        axes.fixed_view_mut::<3, 3>(0, 0).copy_from(&turn);
-        axes.fixed_view_mut::<3, 3>(3, 3).copy_from(&turn);
-        let information = predicted.covariance.cholesky()?.inverse();
+        let covariance = turned_covariance(patch_from_camera, &predicted.covariance);
         Some(Self {
             patch_from_markers: patch_from_camera * predicted.camera_from_markers,
-            information: axes * information * axes.transpose(),
+            information: covariance.cholesky()?.inverse() * scale,
         })
     }
 

@@ -7,6 +7,7 @@ mod derivatives;
 pub(super) mod drawn_body;
 
 use flockeye_geometry::body::{Body, squares};
+use flockeye_geometry::pose::PoseEstimate;
 use flockeye_geometry::view::View;
 use nalgebra::{Isometry3, Matrix2, Point3, Translation3, UnitQuaternion, Vector2, Vector3};
 use proptest::prelude::*;

@@ -15,6 +15,7 @@ use super::gauge::alignment;
 use super::leverage::worst_error_m;
 use super::weighted_ray::{difference, moved};
 use flockeye_geometry::filter::chi_square_quantile;
+use flockeye_geometry::pose::turned_covariance;
 pub(crate) use still::{StillPose, still_pose};
 
 /// Largest standard deviation of a determined turn, degrees.
@@ -102,18 +103,6 @@ impl MountCalibration {
         let error = difference(&self.observer_from_camera, other);
         worst_error_m(&(error * error.transpose()), distance_m, |_| true)
     }
-}
-
-/// The covariance of a pose (position, then rotation vector) in other axes.
-pub(crate) fn turned_covariance(
-    turn: &UnitQuaternion<f64>,
-    covariance: &Matrix6<f64>,
-) -> Matrix6<f64> {
-    let rotation = turn.to_rotation_matrix();
-    let mut both = Matrix6::zeros();
-    both.fixed_view_mut::<3, 3>(0, 0).copy_from(rotation.matrix());
-    both.fixed_view_mut::<3, 3>(3, 3).copy_from(rotation.matrix());
-    both * covariance * both.transpose()
 }
 
 /// Finds the camera's pose on the drone.

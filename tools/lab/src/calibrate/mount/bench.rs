@@ -2,9 +2,10 @@
 
 use std::collections::BTreeSet;
 
-use crate::calibration::mount::{MeasuredPlace, still_pose, turned_covariance};
+use crate::calibration::mount::{MeasuredPlace, still_pose};
 use anyhow::{bail, ensure};
 use flockeye_config::{Mount, isometry};
+use flockeye_geometry::pose::turned_covariance;
 use flockeye_tables::PoseRow;
 use nalgebra::{Isometry3, Matrix6};
 use schemars::JsonSchema;
