@@ -44,7 +44,7 @@ pub enum StartSource {
 impl StartSource {
     /// Whether the start is the track's prediction.
     pub(crate) fn is_prediction(self) -> bool {
-        matches!(self, Self::Prediction | Self::RoughPrediction | Self::DirectPass)
+        matches!(self, Self::Prediction | Self::RoughPrediction)
     }
 }
 

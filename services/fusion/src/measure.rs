@@ -26,7 +26,6 @@ use crate::aligner::BestView;
 use crate::decide::MARKERS_WITHOUT_TRACK;
 use crate::hypothesis::StartSource;
 use crate::record::Record;
-use crate::target::Target;
 
 /// Differences between the kinds: the rows of the table above.
 impl Pass {
@@ -41,15 +40,6 @@ impl Pass {
             }
             Self::Background => &[Corners, DoubtfulSquares, RoughPrediction],
             Self::Place => &[Place],
-        }
-    }
-
-    /// Whether a target has the track that the pass requires.
-    pub(crate) fn allows(self, target: &Target) -> bool {
-        match self {
-            Self::Direct => target.is_tracked(),
-            Self::Region | Self::Complete | Self::Background => true,
-            Self::Place => !target.is_tracked(),
         }
     }
 

@@ -13,7 +13,7 @@ use crate::policy::TimeBudget;
 impl Tracker {
     /// The targets without a track that a frame has not measured.
     pub(crate) fn untracked(&self, parts: &[Part]) -> impl Iterator<Item = usize> {
-        unpublished(parts).filter(|&target| Pass::Place.allows(&self.targets[target]))
+        unpublished(parts).filter(|&target| !self.targets[target].is_tracked())
     }
 
     /// The place pass: searches for a target at some `places` of a complete frame. The first place
