@@ -16,6 +16,8 @@ use gstreamer::prelude::*;
 use gstreamer_app as gst_app;
 
 use crate::holding::BEHIND_NS;
+use crate::packet_tap::segment_of;
+use crate::pipeline::due_ns;
 
 /// Least number of frames between two that are dropped: three quarters of all are decoded.
 const KEPT_FRAMES: u64 = 3;
@@ -64,11 +66,8 @@ impl LateFrames {
         if !sink.is_sync() || sink.current_state() != gst::State::Playing {
             return None;
         }
-        let event = pad.sticky_event::<gst::event::Segment>(0)?;
-        let segment = event.segment().downcast_ref::<gst::ClockTime>()?;
-        let running = segment.to_running_time(buffer.pts()?)?;
-        let due_ns = i64::try_from((sink.base_time()? + running).nseconds()).ok()?;
-        Some(due_ns + sink.ts_offset() - monotonic_ns())
+        let running = segment_of(pad)?.to_running_time(buffer.pts()?)?;
+        Some(due_ns(&sink, running)? + sink.ts_offset() - monotonic_ns())
     }
 
     /// Records that a frame was dropped.
@@ -78,9 +77,9 @@ impl LateFrames {
         dropped.kept = 0;
         if let Some(before) = dropped.warnings.admit() {
             tracing::warn!(
-                "{} frames are left out, because decoding is slower than the recording. Cure: a \
-                 hardware decoder, smaller frames, or a lossless profile",
-                before + 1
+                left_out = before + 1,
+                "frames are left out, because decoding is slower than the recording. Cure: a \
+                 hardware decoder, smaller frames, or a lossless profile"
             );
         }
     }

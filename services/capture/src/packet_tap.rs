@@ -186,10 +186,15 @@ fn codec_data(caps: &gst::Caps) -> Option<Vec<u8>> {
     Some(buffer.map_readable().ok()?.as_slice().to_vec())
 }
 
+/// The segment of a pad's buffers, if it is one of times.
+pub(crate) fn segment_of(pad: &gst::Pad) -> Option<gst::FormattedSegment<gst::ClockTime>> {
+    let event = pad.sticky_event::<gst::event::Segment>(0)?;
+    event.segment().downcast_ref::<gst::ClockTime>().cloned()
+}
+
 /// Stream time of a time stamp, nanoseconds.
 fn stream_ns(pad: &gst::Pad, pts: gst::ClockTime) -> Option<i64> {
-    let event = pad.sticky_event::<gst::event::Segment>(0)?;
-    let segment = event.segment().downcast_ref::<gst::ClockTime>()?;
+    let segment = segment_of(pad)?;
     let place = segment.to_stream_time_full(pts)?;
     let ns = i64::try_from(place.abs().nseconds()).ok()?;
     Some(if place.is_negative() { -ns } else { ns })

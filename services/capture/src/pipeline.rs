@@ -186,9 +186,7 @@ fn stamped(
         .filter(|rate| rate.numer() > 0 && rate.denom() > 0)
         .map(|rate| Duration::from_secs_f64(f64::from(rate.denom()) / f64::from(rate.numer())));
     let (sequence, stream_time) = census.enter(stream, frame);
-    let due_ns = running
-        .zip(sink.base_time())
-        .and_then(|(running, base)| i64::try_from((running + base).nseconds()).ok());
+    let due_ns = running.and_then(|running| due_ns(sink, running));
     DecodedFrame {
         sample,
         sequence,
@@ -198,6 +196,11 @@ fn stamped(
         due_ns: due_ns.map(|due_ns| slipped(sink, due_ns, at_sink_ns)),
         arrival_ns: pts.and_then(|pts| arrivals.find(pts)).unwrap_or(at_sink_ns),
     }
+}
+
+/// Due time of a frame by its running time, without slips, CLOCK_MONOTONIC, nanoseconds.
+pub(crate) fn due_ns(sink: &gst_app::AppSink, running: gst::ClockTime) -> Option<i64> {
+    i64::try_from((sink.base_time()? + running).nseconds()).ok()
 }
 
 /// Maximum lateness of a paced recording, nanoseconds; beyond it the recording slips.

@@ -167,7 +167,11 @@ fn a_decoder_that_falls_behind_leaves_out_frames_that_no_other_needs() {
         flockeye_runtime::logs::init();
         let left_out = overhear("flockeye_capture", "frames are left out");
         let mut numbers = Vec::new();
-        let params = SourceParameters { flow: Flow::Latest, ..SourceParameters::new(1280, 640) };
+        let params = SourceParameters {
+            flow: Flow::Latest,
+            decoder_threads: 1,
+            ..SourceParameters::new(1280, 640)
+        };
         let end = play(&mut open(&clip, params), |picture| {
             let stamp = picture.facts();
             let expected = (stamp.stream_ns + 125_000) / 250_000;
