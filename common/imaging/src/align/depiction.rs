@@ -69,7 +69,7 @@ pub fn depict(
 /// The patch with the body drawn over it.
 fn draw(patch: &Patch, print: &BodyPrint, state: &State) -> Vec<f32> {
     let scene = Scene::new(print, state, patch);
-    let margin_px = blur_margin_px(&state.blur);
+    let margin_px = blur_margin_px(&state.spread.whole());
     let mut model = patch.radiance.clone();
     for index in 0..print.facets.len() {
         let Some((visible, blurred)) = scene.facet(index) else { continue };

@@ -12,6 +12,7 @@
 //! | `alignment` | options and results |
 //! | `print` | what is printed on a body |
 //! | `patch`, `pinhole` | what radiance the view shows around the body, and where its pixels look |
+//! | `spread` | the point spread of a moving body, and its unknowns |
 //! | `state` | the unknowns, their places in the normal equations, their priors |
 //! | `model` | the radiance that each pixel should have (`geometry`: where a pixel sees a facet; `blurred`: a facet behind a Gaussian) |
 //! | `samples` | which pixels are fitted |
@@ -45,6 +46,7 @@ mod reacquire;
 mod robust;
 mod samples;
 mod solve;
+mod spread;
 mod state;
 
 pub use acceptance::{
@@ -163,7 +165,7 @@ pub fn starts_at(
     };
     let PreparedView { patch, prior } = view;
     let middle = patch.view_from_camera * direction_in_camera;
-    let lens_px = prior.blur[(0, 0)].sqrt();
+    let lens_px = prior.spread.gaussian[(0, 0)].sqrt();
     let camera_from_patch = patch.view_from_camera.inverse();
     let starts = acquire::starts(templates, &patch, &middle, range_m, lens_px);
     starts.into_iter().map(|start| camera_from_patch * start).collect()
@@ -260,7 +262,7 @@ impl PreparedView {
             camera_from_markers: camera_from_patch * fit.patch_from_markers,
             covariance: turned_covariance(&camera_from_patch, &coded),
             is_precise: is_precise(&shown),
-            stretch_px2: prior.stretch_px2(&fit.state.blur),
+            stretch_px2: prior.stretch_px2(&fit.state.spread),
             evidence,
             visible_share: fit.visible_share,
         })
@@ -274,7 +276,7 @@ impl PreparedView {
         }
         let blurred = self.patch.blurred(extra_blur_px);
         match solve::fit(&blurred, print, start.clone(), &[], &self.prior, COARSE_ITERATIONS) {
-            Some(fit) => State { blur: start.blur, ..fit.state },
+            Some(fit) => State { spread: start.spread, ..fit.state },
             None => start,
         }
     }

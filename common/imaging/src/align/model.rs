@@ -29,7 +29,7 @@ use nalgebra::{Isometry3, Matrix2, Vector2, Vector3};
 use super::patch::Patch;
 use super::pinhole::Pinhole;
 use super::print::BodyPrint;
-use super::state::{CODE_BLUR, COMMON, State};
+use super::state::{CODE_BLUR, COMMON, SPREAD, State};
 use blurred::BlurredFacet;
 use geometry::{VisibleFacet, visible_facets};
 
@@ -66,7 +66,7 @@ impl<'p> Scene<'p> {
         code_bend: f64,
     ) -> Self {
         let visible = visible_facets(print, &state.patch_from_markers, pinhole);
-        let blur = state.blur + Matrix2::identity() * extra_blur_px.powi(2);
+        let blur = state.spread.of_part() + Matrix2::identity() * extra_blur_px.powi(2);
         let blurred = print
             .facets
             .iter()
@@ -74,7 +74,8 @@ impl<'p> Scene<'p> {
             .map(|(facet, visible)| {
                 let per_pixel = visible.as_ref()?.facet_from_pixel;
                 let covariance = per_pixel * blur * per_pixel.transpose();
-                Some(BlurredFacet::new(facet, &covariance, &(per_pixel * state.even_path_px)))
+                let path = per_pixel * state.spread.path_px;
+                Some(BlurredFacet::new(facet, &covariance, &path, state.spread.parts))
             })
             .collect();
         Self { print, visible, blurred, code_bend }
@@ -179,11 +180,12 @@ pub(super) fn model(
         let [xx, xy, yy] = std::array::from_fn(|k| mix(coverage.curvature[k], black.curvature[k]));
         let per_pixel = &visible.facet_from_pixel;
         image_gradient += per_pixel.transpose() * slope;
-        // The heat equation: adding to a Gaussian's covariance adds half the curvature.
         let in_pixels = per_pixel.transpose() * Matrix2::new(xx, xy, xy, yy) * per_pixel;
-        modelled.by_common[6] += in_pixels[(0, 0)] / 2.0;
-        modelled.by_common[7] += in_pixels[(0, 1)];
-        modelled.by_common[8] += in_pixels[(1, 1)] / 2.0;
+        let by_path = Vector2::from_fn(|k, _| mix(coverage.by_path[k], black.by_path[k]));
+        let by_spread = state.spread.derivatives(&in_pixels, &(per_pixel.transpose() * by_path));
+        for (sum, by) in modelled.by_common[SPREAD..].iter_mut().zip(by_spread) {
+            *sum += by;
+        }
         let (m, k) = (f64::from(coverage.value), f64::from(black.value));
         if is_first {
             let radiance = w * (m - k) + b * k;

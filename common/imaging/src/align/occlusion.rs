@@ -8,6 +8,8 @@
 //!   them.
 //! - Facets whose cells do not match the image are left out as a whole ([`occluded_facets`]).
 
+use nalgebra::Vector2;
+
 use super::patch::Patch;
 use super::print::{BodyPrint, PrintedFacet};
 use super::robust::reference_sigma;
@@ -43,16 +45,26 @@ impl Occlusion {
         residuals: &[Option<f32>],
     ) {
         let noise = reference_sigma(sigmas, samples);
-        let reach_px = reach_px((state.blur.trace().max(0.0) / 2.0).sqrt());
+        let reach_px = reach_px((state.spread.gaussian.trace().max(0.0) / 2.0).sqrt());
         let reach = reach_px.min(patch.width as f64) as usize;
+        // An occluder moves with the body, and its edge is blurred along the same path.
+        let places = (2.0 * state.spread.path_px.norm() / reach_px.max(1.0)).ceil();
+        let path_share = |k| f64::from(k) / places.max(1.0) - 0.5;
+        let beside: Vec<_> = match state.spread.has_path() {
+            true => (0..=places as u16).map(|k| state.spread.path_px * path_share(k)).collect(),
+            false => vec![Vector2::zeros()],
+        };
         self.width = patch.width;
         self.pixels = vec![false; patch.width * patch.height];
         for (sample, &residual) in samples.iter().zip(residuals) {
             let [white, _] = state.levels[usize::from(sample.facet)];
             let size = residual.map_or(0.0, |residual| f64::from(residual).abs());
             if size > least_residual(noise, white) {
-                let at = (usize::from(sample.x), usize::from(sample.y));
-                mark_disc(&mut self.pixels, patch.width, at, reach);
+                for along in &beside {
+                    let x = (f64::from(sample.x) + along.x).max(0.0) as usize;
+                    let y = (f64::from(sample.y) + along.y).max(0.0) as usize;
+                    mark_disc(&mut self.pixels, patch.width, (x, y), reach);
+                }
             }
         }
         let visible = samples.iter().filter(|sample| !self.has_pixel(sample)).count();

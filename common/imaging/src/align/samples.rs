@@ -309,7 +309,7 @@ mod tests {
                 let Some(visible_facet) = visible_facet else { continue };
                 let per_pixel = visible_facet.facet_from_pixel;
                 let spread = per_pixel * Matrix2::identity() * blur * per_pixel.transpose();
-                let blurred = BlurredFacet::new(facet, &spread, &Vector2::zeros());
+                let blurred = BlurredFacet::new(facet, &spread, &Vector2::zeros(), 1);
                 let edges = edges(facet, &blurred, &visible);
                 let plane = visible_facet.plane_from_pixel(&pinhole);
                 let sides = sides(&blurred, &edges, &plane);

@@ -2,15 +2,17 @@
 
 use flockeye_geometry::pose::{PoseEstimate, pose_difference, turned_covariance};
 use nalgebra::{
-    DMatrix, DVector, Isometry3, Matrix2, Matrix6, Translation3, Unit, UnitQuaternion, Vector2,
-    Vector3,
+    DMatrix, DVector, Isometry3, Matrix6, Translation3, Unit, UnitQuaternion, Vector2, Vector3,
 };
 
 use super::print::BodyPrint;
+use super::spread::Spread;
 
-/// Unknowns that do not belong to one facet: six of the pose, three of the blur, one of the code
-/// blur.
+/// Unknowns that do not belong to one facet: six of the pose, three of the point spread, one of the
+/// code blur.
 pub(super) const COMMON: usize = 10;
+/// Index of the first unknown of the point spread.
+pub(super) const SPREAD: usize = 6;
 /// Index of the code blur.
 pub(super) const CODE_BLUR: usize = 9;
 /// Code blur, expected value and standard deviation, pixels of the sphere image squared. Measured:
@@ -25,34 +27,13 @@ const SEAM_SIGMA_M: f64 = 6e-5;
 /// It is that of a facet three metres from a lamp: 2 % from the middle of a facet of 6 cm to its
 /// edge. Arms and hulls near the body shade more than that.
 const GRADIENT_SIGMA_PER_M: f64 = 0.7;
-/// Standard deviation of the variance that the path adds, as a share of it: the apparent velocity
-/// from track and gyroscope is exact to some per cent.
-const PATH_UNCERTAINTY: f64 = 0.1;
-/// Longest path, in standard deviations of the lens's point spread, for which a Gaussian is a good
-/// model.
-const LONG_PATH_BLURS: f64 = 2.0;
-/// Narrowest and widest point spread (standard deviation), pixels.
-const BLUR_LIMITS_PX: (f64, f64) = (0.35, 6.0);
-
-// An even blur along a path is modelled as the mean of two Gaussians, one before the path's middle
-// and one behind it. With these two numbers, second and fourth moments are those of the even blur.
-
-/// Distance of either Gaussian from the middle, as a share of the path: the fourth root of 1/240.
-pub(super) const PATH_OFFSET: f64 = 0.254_066;
-/// Variance of either Gaussian along the path, as a share of the squared path: 1/12 less the square
-/// of the offset.
-pub(super) const PATH_VARIANCE: f64 = 0.018_784;
-
 /// Values of the unknowns.
 #[derive(Debug, Clone)]
 pub(super) struct State {
     /// Pose of the markers in the patch's frame, whose axes are the view's.
     pub patch_from_markers: Isometry3<f64>,
-    /// Motion of the body during the exposure, pixels: known, and not fitted. Zero if it is not
-    /// known, or so short that a Gaussian models it as well.
-    pub even_path_px: Vector2<f64>,
-    /// Covariance of the point spread without the path, pixels squared.
-    pub blur: Matrix2<f64>,
+    /// The point spread.
+    pub spread: Spread,
     /// Variance of the blur that acts on code values instead of radiance, pixels squared.
     pub code_blur: f64,
     /// White and black level of each facet.
@@ -70,10 +51,11 @@ impl State {
         patch_from_markers: Isometry3<f64>,
         prior: &Prior,
     ) -> Self {
+        let mut spread = prior.spread;
+        spread.limit();
         Self {
             patch_from_markers,
-            even_path_px: prior.even_path_px,
-            blur: within_limits(&prior.blur),
+            spread,
             code_blur: 0.0,
             levels: vec![[0.0; 2]; print.facets.len()],
             seams: vec![0.0; print.seams],
@@ -85,12 +67,10 @@ impl State {
 /// image.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Prior {
-    /// Motion of the body during the exposure, pixels; see [`State::even_path_px`].
-    pub even_path_px: Vector2<f64>,
-    /// Expected covariance of the point spread without that path, pixels squared.
-    pub blur: Matrix2<f64>,
-    /// Standard deviation of the point spread's variance, pixels squared.
-    pub blur_sigma_px2: f64,
+    /// The expected point spread.
+    pub spread: Spread,
+    /// Standard deviations of its unknowns.
+    pub spread_sigmas: [f64; 3],
     /// Direction of the apparent motion in the patch; `None` where it is not known.
     pub motion: Option<Unit<Vector2<f64>>>,
     /// Pixels of the patch for each pixel of the sphere image, along one axis.
@@ -143,39 +123,24 @@ impl PosePrior {
 impl Prior {
     /// A lens with this point spread, its standard deviation in pixels of the patch, and a body
     /// that moves by `path_px` during the exposure and in the direction `motion`.
-    ///
-    /// A short path of length d blurs along itself like a Gaussian of variance d^2 / 12; a long one
-    /// is modelled as it is ([`PATH_OFFSET`]).
     pub(super) fn new(
         lens_px: f64,
         path_px: Vector2<f64>,
         motion: Option<Unit<Vector2<f64>>>,
         magnification: f64,
     ) -> Self {
-        let is_long = path_px.norm() > LONG_PATH_BLURS * lens_px;
-        let (even_path_px, share) =
-            if is_long { (path_px, PATH_VARIANCE) } else { (Vector2::zeros(), 1.0 / 12.0) };
-        let blur = Matrix2::identity() * lens_px.powi(2) + path_px * path_px.transpose() * share;
-        let (of_lens, of_path) =
-            (0.5 * lens_px.powi(2), PATH_UNCERTAINTY * path_px.norm_squared() / 12.0);
-        Self {
-            even_path_px,
-            blur,
-            blur_sigma_px2: of_lens.hypot(of_path),
-            motion,
-            magnification,
-            pose: None,
-        }
+        let (spread, spread_sigmas) = Spread::expected(lens_px, path_px);
+        Self { spread, spread_sigmas, motion, magnification, pose: None }
     }
 
     /// Variance of a point spread along the motion, less that across it, pixels of the sphere image
     /// squared.
-    pub(super) fn stretch_px2(&self, blur: &Matrix2<f64>) -> Option<f64> {
+    pub(super) fn stretch_px2(&self, spread: &Spread) -> Option<f64> {
         let along = self.motion?.into_inner();
         let across = Vector2::new(-along.y, along.x);
-        let variance = |axis: Vector2<f64>| axis.dot(&(blur * axis));
-        let of_path = self.even_path_px.norm_squared() * (1.0 / 12.0 - PATH_VARIANCE);
-        Some((variance(along) - variance(across) + of_path) / self.magnification.powi(2))
+        let whole = spread.whole();
+        let variance = |axis: Vector2<f64>| axis.dot(&(whole * axis));
+        Some((variance(along) - variance(across)) / self.magnification.powi(2))
     }
 
     /// Number of samples with the information of one independent sample: pixels of a magnified view
@@ -259,14 +224,11 @@ pub(super) fn add_priors(
     // Dependent samples are summed as if they were independent. The priors grow with them, so that
     // their relative weight stays.
     let share = prior.samples_per_pixel();
-    let precision = share / prior.blur_sigma_px2.powi(2);
-    for (k, wanted, is) in [
-        (6, prior.blur[(0, 0)], state.blur[(0, 0)]),
-        (7, prior.blur[(0, 1)], state.blur[(0, 1)]),
-        (8, prior.blur[(1, 1)], state.blur[(1, 1)]),
-    ] {
-        normal[(k, k)] += precision;
-        right[k] += precision * (wanted - is);
+    let (wanted, is) = (prior.spread.unknowns(), state.spread.unknowns());
+    for (k, sigma) in prior.spread_sigmas.into_iter().enumerate() {
+        let (at, precision) = (SPREAD + k, share / sigma.powi(2));
+        normal[(at, at)] += precision;
+        right[at] += precision * (wanted[k] - is[k]);
     }
     let (wanted, sigma) = CODE_BLUR_PRIOR_PX2;
     let scale = prior.magnification.powi(2);
@@ -325,8 +287,7 @@ pub(super) fn apply_step(
         Translation3::from(position + shift * share),
         UnitQuaternion::from_scaled_axis(turn * share) * pose.rotation,
     );
-    state.blur += Matrix2::new(step[6], step[7], step[7], step[8]) * share;
-    state.blur = within_limits(&state.blur);
+    state.spread.add(std::array::from_fn(|k| step[SPREAD + k] * share));
     state.code_blur += step[CODE_BLUR] * share;
     for (facet, at) in layout.facets() {
         state.levels[facet][0] += step[at];
@@ -338,13 +299,4 @@ pub(super) fn apply_step(
     let turned = turn.norm() * 0.08 / position.norm() * focal_px;
     let nearer = along.abs() / position.norm() * 0.08 / position.norm() * focal_px;
     Some(across.max(turned).max(nearer) * share)
-}
-
-/// The nearest point spread within [`BLUR_LIMITS_PX`].
-fn within_limits(blur: &Matrix2<f64>) -> Matrix2<f64> {
-    let mut axes = blur.symmetric_eigen();
-    for value in axes.eigenvalues.iter_mut() {
-        *value = value.clamp(BLUR_LIMITS_PX.0.powi(2), BLUR_LIMITS_PX.1.powi(2));
-    }
-    axes.recompose()
 }

@@ -15,22 +15,42 @@
 //! deviation across the edge) for any covariance. Where two edges meet, their product is taken.
 //!
 //! A body that moves during the exposure is also blurred evenly along its path. A path as long as
-//! two cells cancels them, and a longer one turns black into white. So the model is the mean of the
-//! facet shortly before and after the middle ([`PATH_OFFSET`]).
+//! two cells cancels them, and a longer one turns black into white. So the model is the mean over
+//! parts of the path ([`middles`]).
 
 use nalgebra::{Matrix2, Vector2};
 
 use crate::align::print::{Cells, MAX_CELLS, PrintedFacet};
-use crate::align::state::PATH_OFFSET;
+use crate::align::spread::middles;
 use crate::gaussian::{Gaussian, REACH};
 
 /// A blurred indicator function at a point of the plane, with its derivatives by the coordinates in
 /// metres. The second derivatives are xx, xy, yy.
+///
+/// `by_path` is its derivative by the path, metres, where the parts' Gaussians do not change.
 #[derive(Debug, Clone, Copy, Default)]
 pub(in crate::align) struct Share {
     pub value: f32,
     pub slope: [f32; 2],
     pub curvature: [f32; 3],
+    pub by_path: [f32; 2],
+}
+
+impl Share {
+    /// Adds another one, at a share of the path.
+    #[inline(always)]
+    fn add(&mut self, weight: f32, path_share: f32, other: &Self) {
+        self.value += weight * other.value;
+        for (sum, part) in self.slope.iter_mut().zip(other.slope) {
+            *sum += weight * part;
+        }
+        for (sum, part) in self.curvature.iter_mut().zip(other.curvature) {
+            *sum += weight * part;
+        }
+        for (sum, part) in self.by_path.iter_mut().zip(other.slope) {
+            *sum += weight * path_share * part;
+        }
+    }
 }
 
 /// One facet with one point spread.
@@ -38,8 +58,8 @@ pub(in crate::align) struct Share {
 pub(in crate::align) struct BlurredFacet<'p> {
     cells: Option<BlurredCells<'p>>,
     edges: Vec<OutlineEdge>,
-    /// Whether the body moves during the exposure.
-    moves: bool,
+    /// Number of parts of the body's path during the exposure; 1 without a path.
+    parts: u8,
     gaussian: Gaussian,
 }
 
@@ -48,8 +68,8 @@ struct BlurredCells<'p> {
     cells: &'p Cells,
     /// Standard deviations along x and y, cells.
     sigma: [f32; 2],
-    /// Weights and positions of the Gauss-Hermite nodes, cells.
-    nodes: Vec<(f32, [f32; 2])>,
+    /// Weight and position of each Gauss-Hermite node, cells, and its share of the path.
+    nodes: Vec<(f32, [f32; 2], f32)>,
 }
 
 #[derive(Clone)]
@@ -59,15 +79,16 @@ struct OutlineEdge {
     offset: f32,
     /// Standard deviation of the whole blur, relative to the Gaussian alone.
     steepness: f32,
-    /// Additional depth at the one end of the path, standard deviations of the Gaussian.
+    /// Additional depth after the whole path, standard deviations of the Gaussian.
     shift: f32,
 }
 
 impl OutlineEdge {
-    /// Depth of a point at an end of the path (1 or -1), standard deviations of the Gaussian.
+    /// Depth of a point at a share of the path from its middle, standard deviations of the
+    /// Gaussian.
     #[inline(always)]
-    fn depth_at(&self, at: &Vector2<f32>, end: f32) -> f32 {
-        (self.normal.dot(at) + self.offset) * self.steepness + end * self.shift
+    fn depth_at(&self, at: &Vector2<f32>, share: f32) -> f32 {
+        (self.normal.dot(at) + self.offset) * self.steepness + share * self.shift
     }
 }
 
@@ -87,17 +108,21 @@ impl CellWeights {
 }
 
 impl<'p> BlurredFacet<'p> {
-    /// Creates the blurred facet. `covariance` is that of the Gaussian in the facet's plane, metres
-    /// squared. `path` is the body's motion there during the exposure, metres.
+    /// Creates the blurred facet. `covariance` is that of each part's Gaussian in the facet's plane,
+    /// metres squared. `path` is the body's motion there during the exposure, metres, in this many
+    /// `parts`.
     pub(crate) fn new(
         facet: &'p PrintedFacet,
         covariance: &Matrix2<f64>,
         path: &Vector2<f64>,
+        parts: u8,
     ) -> Self {
-        let aside = path * PATH_OFFSET;
-        let cells = facet.cells.as_ref().map(|cells| BlurredCells::new(cells, covariance, &aside));
+        let cells =
+            facet.cells.as_ref().map(|cells| BlurredCells::new(cells, covariance, path, parts));
         let middle = facet.middle();
         let count = facet.outline.len();
+        // Standard deviation of the parts' middles, as a share of the path.
+        let middles_deviation = ((1.0 - f64::from(parts).powi(-2)) / 12.0).sqrt();
         let edges = (0..count)
             .map(|k| {
                 let (from, to) = (facet.outline[k], facet.outline[(k + 1) % count]);
@@ -105,8 +130,8 @@ impl<'p> BlurredFacet<'p> {
                 let across = Vector2::new(-along.y, along.x);
                 let inwards = if across.dot(&(middle - from)) < 0.0 { -across } else { across };
                 let of_gaussian = inwards.dot(&(covariance * inwards)).sqrt();
-                let shift = inwards.dot(&aside);
-                let sigma = if shift == 0.0 { of_gaussian } else { of_gaussian.hypot(shift) };
+                let shift = inwards.dot(path);
+                let sigma = of_gaussian.hypot(shift * middles_deviation);
                 OutlineEdge {
                     normal: (inwards / sigma).cast(),
                     offset: (-inwards.dot(&from.coords) / sigma) as f32,
@@ -115,7 +140,7 @@ impl<'p> BlurredFacet<'p> {
                 }
             })
             .collect();
-        Self { cells, edges, moves: *path != Vector2::zeros(), gaussian: Gaussian::get() }
+        Self { cells, edges, parts, gaussian: Gaussian::get() }
     }
 
     /// Depth of a point inside edge `k`, standard deviations of the point spread.
@@ -134,8 +159,9 @@ impl<'p> BlurredFacet<'p> {
     #[inline(always)]
     pub(crate) fn line(&self, k: usize, at: Vector2<f64>) -> f64 {
         let (edge, at) = (&self.edges[k], at.cast());
-        let density = |end| self.gaussian.at(edge.depth_at(&at, end)).0;
-        let density = if self.moves { (density(1.0) + density(-1.0)) / 2.0 } else { density(0.0) };
+        let densities =
+            middles(self.parts).map(|share| self.gaussian.at(edge.depth_at(&at, share)).0);
+        let density = densities.sum::<f32>() / f32::from(self.parts);
         f64::from(density * edge.steepness * edge.normal.norm())
     }
 
@@ -143,24 +169,22 @@ impl<'p> BlurredFacet<'p> {
     #[inline(always)]
     pub(crate) fn coverage(&self, at: Vector2<f64>) -> Share {
         let at: Vector2<f32> = at.cast();
-        if !self.moves {
+        if self.parts == 1 {
             return self.coverage_at(&at, 0.0);
         }
-        let (before, after) = (self.coverage_at(&at, -1.0), self.coverage_at(&at, 1.0));
-        let mean = |one: f32, other: f32| (one + other) / 2.0;
-        Share {
-            value: mean(before.value, after.value),
-            slope: std::array::from_fn(|k| mean(before.slope[k], after.slope[k])),
-            curvature: std::array::from_fn(|k| mean(before.curvature[k], after.curvature[k])),
+        let (mut mean, weight) = (Share::default(), 1.0 / f32::from(self.parts));
+        for share in middles(self.parts) {
+            mean.add(weight, share, &self.coverage_at(&at, share));
         }
+        mean
     }
 
-    /// The coverage at one end of the path (1), the other (-1), or without a path (0).
+    /// The coverage by the part whose middle is at this share of the path.
     #[inline(always)]
-    fn coverage_at(&self, at: &Vector2<f32>, end: f32) -> Share {
+    fn coverage_at(&self, at: &Vector2<f32>, path_share: f32) -> Share {
         let mut share = Share { value: 1.0, ..Share::default() };
         for edge in &self.edges {
-            let z = edge.depth_at(at, end);
+            let z = edge.depth_at(at, path_share);
             if z >= REACH {
                 continue;
             }
@@ -180,6 +204,7 @@ impl<'p> BlurredFacet<'p> {
                         + value * bend * normal.x * normal.y,
                     yy * below + 2.0 * sy * density * normal.y + value * bend * normal.y * normal.y,
                 ],
+                ..share
             };
         }
         share
@@ -193,7 +218,7 @@ impl<'p> BlurredFacet<'p> {
         let per_cell = 1.0 / blurred.cells.side_m as f32;
         let [x, y] = blurred.in_cells(at);
         let (mut across, mut down) = (CellWeights::NONE, CellWeights::NONE);
-        for &(weight, [dx, dy]) in &blurred.nodes {
+        for &(weight, [dx, dy], path_share) in &blurred.nodes {
             let count = blurred.cells.count;
             self.weigh(&mut across, x + dx, blurred.sigma[0], count);
             self.weigh(&mut down, y + dy, blurred.sigma[1], count);
@@ -214,13 +239,9 @@ impl<'p> BlurredFacet<'p> {
                 node.curvature[1] += slope * sums[1];
                 node.curvature[2] += curvature * sums[0];
             }
-            sum.value += weight * node.value;
-            for k in 0..2 {
-                sum.slope[k] += weight * per_cell * node.slope[k];
-            }
-            for k in 0..3 {
-                sum.curvature[k] += weight * per_cell * per_cell * node.curvature[k];
-            }
+            node.slope = node.slope.map(|slope| slope * per_cell);
+            node.curvature = node.curvature.map(|curvature| curvature * per_cell * per_cell);
+            sum.add(weight, path_share, &node);
         }
         sum
     }
@@ -232,7 +253,7 @@ impl<'p> BlurredFacet<'p> {
         let Some(blurred) = &self.cells else { return sums };
         let count = blurred.cells.count;
         let [x, y] = blurred.in_cells(at);
-        for &(weight, [dx, dy]) in &blurred.nodes {
+        for &(weight, [dx, dy], _) in &blurred.nodes {
             let between = |at: f32, sigma: f32, from: usize, to: usize| {
                 let below = |border: usize| self.gaussian.at((at - border as f32) / sigma).1;
                 below(from) - below(to)
@@ -291,7 +312,7 @@ impl<'p> BlurredFacet<'p> {
 const NARROW_BLUR_CELLS: f64 = 0.3;
 
 impl<'p> BlurredCells<'p> {
-    fn new(cells: &'p Cells, covariance: &Matrix2<f64>, aside: &Vector2<f64>) -> Self {
+    fn new(cells: &'p Cells, covariance: &Matrix2<f64>, path: &Vector2<f64>, parts: u8) -> Self {
         let (a, b) = (covariance[(0, 0)].sqrt(), covariance[(1, 1)].sqrt());
         let correlation = (covariance[(0, 1)] / (a * b)).clamp(-0.98, 0.98);
         let along = Vector2::new(a, b * correlation.signum()) / cells.side_m;
@@ -316,19 +337,16 @@ impl<'p> BlurredCells<'p> {
             .iter()
             .map(|&(weight, place)| {
                 let at = along * (share.sqrt() * place);
-                (weight as f32, [at.x as f32, at.y as f32])
+                (weight as f32, [at.x as f32, at.y as f32], 0.0)
             })
             .collect::<Vec<_>>();
-        let aside = (aside / cells.side_m).cast::<f32>();
-        let nodes = match aside == Vector2::zeros() {
-            true => nodes,
-            false => nodes
-                .iter()
-                .flat_map(|&(weight, [x, y])| {
-                    [1.0, -1.0].map(|end| (weight / 2.0, [x + end * aside.x, y + end * aside.y]))
-                })
-                .collect(),
+        let path = (path / cells.side_m).cast::<f32>();
+        let in_part = |&(weight, [x, y], _): &(f32, [f32; 2], f32)| {
+            let weight = weight / f32::from(parts);
+            middles(parts)
+                .map(move |share| (weight, [x + share * path.x, y + share * path.y], share))
         };
+        let nodes = nodes.iter().flat_map(in_part).collect();
         Self { cells, sigma: [(a * own) as f32, (b * own) as f32], nodes }
     }
 

@@ -45,7 +45,6 @@ proptest! {
         );
         let pinhole = Pinhole { focal_px: 611.0, centre_px: Vector2::new(50.0, 50.0) };
         let state = State {
-            blur: Matrix2::new(1.0, 0.2, 0.2, 0.8),
             levels: (0..print.facets.len()).map(|k| [0.5 + 0.01 * k as f64, 0.04]).collect(),
             ..State::new(&print, pose, &Prior::new(1.0, Vector2::from(path), None, 1.0))
         };
@@ -87,6 +86,36 @@ proptest! {
             let place = across.map(|share| share * 0.025);
             for (by, place) in now.by_gradient.iter().zip(place) {
                 prop_assert!((by - radiance * place).abs() < 1e-9, "facet {index}: {by}");
+            }
+        }
+    }
+}
+
+proptest! {
+    /// Derivatives by the path against differences. The Gaussians of its parts stay.
+    #[test]
+    fn derivatives_by_the_path_are_those_of_the_facet(
+        across in prop::array::uniform2(-0.035..0.035f64),
+        path in prop::array::uniform2(-0.02..0.02f64),
+        parts in 2..6u8,
+    ) {
+        let print = print_of(&body(0));
+        let facet = print.facets.iter().find(|facet| facet.cells.is_some()).expect("a marker");
+        let spread = Matrix2::new(4.0, 1.5, 1.5, 3.0) * 1e-6;
+        let (at, path) = (Vector2::from(across), Vector2::from(path));
+        let shares = |path| {
+            let blurred = BlurredFacet::new(facet, &spread, &path, parts);
+            [blurred.coverage(at), blurred.black(at)]
+        };
+        let now = shares(path);
+        for axis in 0..2 {
+            let mut change = Vector2::zeros();
+            change[axis] = 2e-4;
+            let (more, less) = (shares(path + change), shares(path - change));
+            for (k, share) in now.iter().enumerate() {
+                let numeric = (more[k].value - less[k].value) / 4e-4;
+                let by = share.by_path[axis];
+                prop_assert!((numeric - by).abs() < 0.5 + 0.02 * by.abs(), "{k} {axis}: {numeric} and {by}");
             }
         }
     }
