@@ -70,7 +70,7 @@ pub(super) fn fit(
     let focal_px = patch.pinhole.focal_px;
     let mut occlusion = Occlusion::of_facets(occluded_facets);
     let mut has_occlusion = false;
-    let mut set = choose(patch, print, &mut state, &occlusion)?;
+    let mut set = choose(patch, print, &mut state, &occlusion, None)?;
     let mut wandered = 0.0;
     for iteration in 1.. {
         let SampleSet { samples, layout, sigmas, .. } = &set;
@@ -128,13 +128,17 @@ pub(super) fn fit(
             rim_shift_px(&set.chosen_at, &state.patch_from_markers, print.radius_m(), focal_px);
         let mut must_resample = shift_px > RESAMPLE_SHIFT_PX;
         let is_near = moved < NEAR_CONVERGED_PX || iteration + 2 >= max_iterations;
+        let mut is_occluder_found = false;
         if is_near && !has_occlusion {
             has_occlusion = true;
             occlusion.add_pixels(patch, &state, &sigmas, samples, &sums.residuals);
-            must_resample |= occlusion.has_pixels();
+            is_occluder_found = occlusion.has_pixels();
+            must_resample |= is_occluder_found;
         }
         if must_resample {
-            set = choose(patch, print, &mut state, &occlusion)?;
+            // Levels that were fitted with an occluder are fitted again without it.
+            let before = (!is_occluder_found).then_some((&set.layout, sigmas));
+            set = choose(patch, print, &mut state, &occlusion, before)?;
         } else {
             set.sigmas = sigmas;
         }
@@ -163,16 +167,18 @@ pub(super) fn fit_levels_alone(
     print: &BodyPrint,
     state: &mut State,
 ) -> Option<Vec<Sample>> {
-    Some(choose(patch, print, state, &Occlusion::of_facets(&[]))?.samples)
+    Some(choose(patch, print, state, &Occlusion::of_facets(&[]), None)?.samples)
 }
 
-/// Chooses the samples at a state and fits the state's white and black levels to them. `None` where
-/// the samples are too few.
+/// Chooses the samples at a state and fits the state's white and black levels to them, unless all
+/// their facets were in the set `before`, with these residual sigmas. `None` where the samples are
+/// too few.
 fn choose(
     patch: &Patch,
     print: &BodyPrint,
     state: &mut State,
     occlusion: &Occlusion,
+    before: Option<(&Layout, Vec<f64>)>,
 ) -> Option<SampleSet> {
     let scene = Scene::new(print, state, patch);
     let mut samples = samples::choose(patch, &scene);
@@ -181,7 +187,13 @@ fn choose(
         return None;
     }
     let layout = layout(&scene, &samples);
-    let sigmas = fit_levels(patch, &scene, &samples, &layout, state)?;
+    let is_known = |before: &Layout| {
+        layout.facets().all(|(facet, _)| before.levels.get(facet).is_some_and(Option::is_some))
+    };
+    let sigmas = match before {
+        Some((before, sigmas)) if is_known(before) => sigmas,
+        _ => fit_levels(patch, &scene, &samples, &layout, state)?,
+    };
     Some(SampleSet { samples, layout, sigmas, chosen_at: state.patch_from_markers })
 }
 

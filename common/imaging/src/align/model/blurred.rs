@@ -172,6 +172,11 @@ impl<'p> BlurredFacet<'p> {
         if self.parts == 1 {
             return self.coverage_at(&at, 0.0);
         }
+        let is_inside =
+            |edge: &OutlineEdge| edge.depth_at(&at, 0.0) >= REACH + edge.shift.abs() / 2.0;
+        if self.edges.iter().all(is_inside) {
+            return Share { value: 1.0, ..Share::default() };
+        }
         let (mut mean, weight) = (Share::default(), 1.0 / f32::from(self.parts));
         for share in middles(self.parts) {
             mean.add(weight, share, &self.coverage_at(&at, share));
