@@ -53,6 +53,8 @@ RECORDINGS = {
                 [], ["lossless", "real time"]),
     "flight4": ("rendered flight `flight4` in wind, 120 frames", "flight4/flight4.mp4",
                 "flight4/truth.csv", [], ["lossless", "real time"]),
+    "flight3": ("rendered flight `flight3` in strong wind, 150 frames", "flight3/flight3.mp4",
+                "flight3/truth.csv", [], ["lossless", "real time"]),
     "flight4-sensor": ("`flight4` with its inertial sensor", "flight4/flight4.mp4", "flight4/truth.csv",
                        ["inertial.source={data}/flight4/imu.csv"], ["lossless", "real time"]),
     "stills": ("20 rendered stills, each for itself", "stills/images", "stills/truth.csv",
@@ -70,6 +72,11 @@ SIMULATED = {
     "gusts-sensor": ("simulated flights in gusts with an inertial sensor", [*GUSTS, "inertial.source=sim"],
                      range(2001, 2006), 100, ["lossless"]),
 }
+# The conditions of `flight3`: strong wind, a low sun from one side, 10 ms exposures.
+SIMULATED["wind"] = ("simulated flights in strong wind and a low sun at 0.9 to 2.6 m, 10 ms exposures",
+                     ["simulator.tilt_deg=17", "simulator.yaw_deg_s=30", "simulator.yaw_swing_deg_s=90",
+                      "simulator.exposure_ms=10", "simulator.distance_m=[0.88,2.6]", "simulator.sun.ratio=4"],
+                     range(2201, 2213), 150, ["lossless"])
 # In the wrong light: single images, half a second apart, and flights.
 for name, stops, words in (("bright", 3, "3 stops too much"), ("dark", -4, "4 stops too little")):
     light = f"simulator.exposure_stops={stops}"
