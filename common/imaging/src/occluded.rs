@@ -22,16 +22,17 @@ pub(crate) fn reach_px(blur_px: f64) -> f64 {
     (REACH_BLURS * blur_px).ceil()
 }
 
-/// Sets all pixels within `reach` of (x, y), in an image of rows of `width`.
-pub(crate) fn mark_disc(pixels: &mut [bool], width: usize, (x, y): (usize, usize), reach: usize) {
+/// Sets all pixels within `reach` of (x, y), which may lie outside, in an image of rows of `width`.
+pub(crate) fn mark_disc(pixels: &mut [bool], width: usize, (x, y): (isize, isize), reach: usize) {
     let height = pixels.len() / width.max(1);
-    let (x, y, reach) = (x as isize, y as isize, reach as isize);
+    let reach = reach as isize;
     for row in (y - reach).max(0)..=(y + reach).min(height as isize - 1) {
         let half = f64::from((reach * reach - (row - y).pow(2)) as i32).sqrt() as isize;
-        let first = (x - half).max(0) as usize;
-        let last = (x + half).min(width as isize - 1) as usize;
+        let columns = (x - half).max(0)..(x + half + 1).min(width as isize);
         let start = row as usize * width;
-        pixels[start + first..=start + last].fill(true);
+        if !columns.is_empty() {
+            pixels[start + columns.start as usize..start + columns.end as usize].fill(true);
+        }
     }
 }
 
@@ -48,5 +49,6 @@ mod tests {
         };
         assert_eq!((marked((3, 2), 0), marked((3, 2), 1), marked((3, 2), 2)), (1, 5, 13));
         assert_eq!((marked((0, 0), 1), marked((6, 4), 1), marked((3, 2), 99)), (3, 3, 35));
+        assert_eq!((marked((-1, 2), 1), marked((7, 2), 1), marked((9, -3), 2)), (1, 1, 0));
     }
 }

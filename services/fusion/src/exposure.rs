@@ -10,8 +10,8 @@ const STRETCH_SIGMA_PX2: f64 = 0.3;
 const MAX_UNCERTAINTY: f64 = 0.3;
 /// Loss of weight of earlier measurements with each frame, because exposures change with the light.
 const FORGETTING: f64 = 0.01;
-/// Longest stretch that is used, pixels of the sphere image squared (a path of 4 px). For paths as
-/// long as a marker's cells, a Gaussian is longer than the path that it models.
+/// Longest stretch that is used, pixels of the sphere image squared (a path of 4 px). A Gaussian, as
+/// it is fitted while no exposure is known, is longer than a path as long as a marker's cells.
 const MAX_STRETCH_PX2: f64 = 1.3;
 /// Longest assumed exposure, seconds.
 const MAX_EXPOSURE_S: f64 = 0.05;

@@ -27,7 +27,7 @@
 //! | `depiction` | the body's pixels beside those of its model, for people |
 //!
 //! Each module uses only modules above it in this order: pinhole, print, evidence and alignment
-//! types, then patch, state, model, samples, then the rest, and `mod.rs` at last.
+//! types, then patch, spread, state, model, samples, then the rest, and `mod.rs` at last.
 
 mod acceptance;
 mod acquire;

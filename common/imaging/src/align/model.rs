@@ -110,7 +110,7 @@ impl<'p> Scene<'p> {
 /// The modelled radiance of one pixel, and its derivatives.
 pub(super) struct Modelled {
     pub radiance: f64,
-    /// Derivatives by pose, blur and code blur.
+    /// Derivatives by pose, point spread and code blur.
     pub by_common: [f64; COMMON],
     /// Derivatives by the radiance gradient of the facet that the pixel lies on, along x and y.
     pub by_gradient: [f64; 2],

@@ -4,8 +4,8 @@
 //! it moves them by millimetres, where alignment is good to a tenth of that. Robust weights do not
 //! help, because a pixel that is a little too dark is no outlier. So occluded parts are left out:
 //!
-//! - Pixels with large residuals are left out, with all pixels that the point spread mixes with
-//!   them.
+//! - Pixels with large residuals are left out, with all pixels that the point spread or the path
+//!   mixes with them.
 //! - Facets whose cells do not match the image are left out as a whole ([`occluded_facets`]).
 
 use nalgebra::Vector2;
@@ -14,6 +14,7 @@ use super::patch::Patch;
 use super::print::{BodyPrint, PrintedFacet};
 use super::robust::reference_sigma;
 use super::samples::Sample;
+use super::spread::Spread;
 use super::state::State;
 use crate::occluded::{least_residual, mark_disc, reach_px};
 
@@ -35,7 +36,7 @@ impl Occlusion {
         Self { pixels: Vec::new(), width: 0, facets: facets.to_vec(), visible_share: 1.0 }
     }
 
-    /// Adds the pixels with large `residuals` at `state`, and those next to them.
+    /// Adds the pixels with large `residuals` at `state`, those next to them and along the path.
     pub(super) fn add_pixels(
         &mut self,
         patch: &Patch,
@@ -47,11 +48,12 @@ impl Occlusion {
         let noise = reference_sigma(sigmas, samples);
         let reach_px = reach_px((state.spread.gaussian.trace().max(0.0) / 2.0).sqrt());
         let reach = reach_px.min(patch.width as f64) as usize;
-        // An occluder moves with the body, and its edge is blurred along the same path.
-        let places = (2.0 * state.spread.path_px.norm() / reach_px.max(1.0)).ceil();
-        let path_share = |k| f64::from(k) / places.max(1.0) - 0.5;
+        // Most occluders are arms of the same drone, so their edges are blurred along the same path.
+        let Spread { path_px, .. } = state.spread;
+        let steps = (2.0 * path_px.norm() / reach_px.max(1.0)).ceil().min(patch.width as f64);
+        let share = |step| f64::from(step) / steps.max(1.0) - 0.5;
         let beside: Vec<_> = match state.spread.has_path() {
-            true => (0..=places as u16).map(|k| state.spread.path_px * path_share(k)).collect(),
+            true => (0..=steps as u16).map(|step| path_px * share(step)).collect(),
             false => vec![Vector2::zeros()],
         };
         self.width = patch.width;
@@ -61,9 +63,8 @@ impl Occlusion {
             let size = residual.map_or(0.0, |residual| f64::from(residual).abs());
             if size > least_residual(noise, white) {
                 for along in &beside {
-                    let x = (f64::from(sample.x) + along.x).max(0.0) as usize;
-                    let y = (f64::from(sample.y) + along.y).max(0.0) as usize;
-                    mark_disc(&mut self.pixels, patch.width, (x, y), reach);
+                    let [x, y] = [f64::from(sample.x) + along.x, f64::from(sample.y) + along.y];
+                    mark_disc(&mut self.pixels, patch.width, (x as isize, y as isize), reach);
                 }
             }
         }

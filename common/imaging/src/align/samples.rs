@@ -26,11 +26,10 @@ const LARGE_FACET: (f32, f32) = (8.0, 16.0);
 const BACKGROUND_DISTANCE: f32 = 3.0;
 /// Largest radiance in a pixel from outside its facets, as a share of the mean of its facet.
 ///
-/// A dark body in front of a bright window was turned by 6 degrees, at a stated 0.4, by what shines
-/// over its narrow facets. The window may be brighter than its saturated pixels say. With 0.01
-/// small bodies behind posts have too few pixels left.
+/// Light from a bright window beside a dark body's narrow facets moves their edges, and turns the
+/// body by many standard deviations. With 0.01, small bodies behind posts have too few pixels left.
 const MAX_SPILLED_SHARE: f32 = 0.03;
-/// Distance inside a silhouette at which the background's radiance still matters.
+/// Distance inside a silhouette up to which the background's radiance matters.
 const SPILL_REACH: f32 = 4.0;
 /// Distance to two edges below which the facet across their corner shows as well.
 const CORNER: f32 = 1.8;
@@ -102,8 +101,8 @@ impl Sample {
     }
 }
 
-/// The pixels inside facets that face the camera, away from the silhouette. Those that show the
-/// same facets are neighbours in the list.
+/// The pixels inside facets that face the camera, away from the silhouette, without those that the
+/// background outshines. Pixels that show the same facets are neighbours in the list.
 pub(super) fn choose(patch: &Patch, scene: &Scene<'_>) -> Vec<Sample> {
     let mut found: Vec<(u16, u16, u8, Reach)> = Vec::new();
     for (index, facet) in scene.print.facets.iter().enumerate() {
@@ -154,15 +153,15 @@ pub(super) fn choose(patch: &Patch, scene: &Scene<'_>) -> Vec<Sample> {
     }
     samples.retain(|sample| {
         let (radiance, count) = sums[usize::from(sample.facet)];
-        spilled(patch, scene, sample) <= MAX_SPILLED_SHARE * radiance / count
+        spilled(patch, scene, sample) <= MAX_SPILLED_SHARE * (radiance / count).max(0.0)
     });
     // A stable sort keeps the order within a kind, so that sums are the same in every run.
     samples.sort_by_key(Sample::shows);
     samples
 }
 
-/// Upper limit of the radiance in a pixel that comes from outside its facets: from the background,
-/// or from what lies beyond a narrow facet.
+/// Estimate of the radiance in a pixel that comes from outside its facets: from the background, or
+/// from what lies beyond a narrow facet. Saturated backgrounds may be brighter.
 fn spilled(patch: &Patch, scene: &Scene<'_>, sample: &Sample) -> f32 {
     let direction = sample.direction(patch);
     let (mut covered, mut brightest, mut is_beside) = (0.0, sample.radiance, !sample.is_inside());

@@ -155,7 +155,7 @@ fn in_deviations(step: &DVector<f64>, normal: &Cholesky<f64, Dyn>) -> Option<f64
     Some(of_pose.dot(&covariance.cholesky()?.solve(&of_pose)).sqrt())
 }
 
-/// All pixels that show the body in a state, occluded or not.
+/// All pixels that [`samples::choose`] finds in a state, occluded or not.
 pub(super) fn all_samples(patch: &Patch, print: &BodyPrint, state: &State) -> Vec<Sample> {
     samples::choose(patch, &Scene::new(print, state, patch))
 }
@@ -170,9 +170,9 @@ pub(super) fn fit_levels_alone(
     Some(choose(patch, print, state, &Occlusion::of_facets(&[]), None)?.samples)
 }
 
-/// Chooses the samples at a state and fits the state's white and black levels to them, unless all
-/// their facets were in the set `before`, with these residual sigmas. `None` where the samples are
-/// too few.
+/// Chooses the samples at a state. White and black levels and residual sigmas are fitted to them,
+/// unless all facets that face the camera have them in the layout `before`. `None` where the samples
+/// are too few.
 fn choose(
     patch: &Patch,
     print: &BodyPrint,

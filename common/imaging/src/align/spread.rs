@@ -1,20 +1,20 @@
 //! The point spread of a moving body: the lens's, and the even blur along the body's path.
 //!
-//! A short path of length d blurs along itself like a Gaussian of variance d² / 12, and all three
-//! unknowns are of one covariance. A long path has a shape of its own. It is modelled in equal
-//! parts, each blurred by a Gaussian of the variance of an even blur along it. The path is fitted:
-//! track and gyroscope know it to some per cent only, and bodies were turned by up to ten standard
-//! deviations by a path of 10 pixels that was wrong by 5 %.
+//! A short path of length d blurs along itself like a Gaussian of variance d² / 12. The unknowns are
+//! then the three elements of one covariance. A long path has a shape of its own. It is modelled in
+//! equal parts, each a Gaussian: the lens's, wider along the path by the part's own variance. The
+//! path is fitted, because track and gyroscope know it to some per cent only. Such an error turns
+//! the body by several standard deviations (docs/results/constants.md#motion-blur).
 
 use nalgebra::{Matrix2, Vector2};
 
 /// Longest part of a path that is modelled by one Gaussian, standard deviations of the lens's point
 /// spread.
 ///
-/// The profile of an edge is then off by 0.3 to 0.6 % of its contrast. With two Gaussians for a
-/// path of 12 pixels, behind a lens of 0.85, it was off by 2.8 %.
+/// The profile of an edge is then off by at most 0.4 % of its contrast
+/// (docs/results/constants.md#motion-blur).
 const PART_BLURS: f64 = 3.0;
-/// Most parts of a path.
+/// Most parts of a path. Longer paths have longer parts.
 const MAX_PARTS: f64 = 8.0;
 /// Standard deviation of a path from track and gyroscope, as a share of it, along and across.
 const PATH_UNCERTAINTY: f64 = 0.1;
@@ -34,13 +34,13 @@ pub(super) struct Spread {
     pub path_px: Vector2<f64>,
     /// Number of the path's parts; 1 without a path.
     pub parts: u8,
-    /// Covariance of the point spread without the path, pixels squared.
+    /// Covariance of the point spread without `path_px`, pixels squared.
     pub gaussian: Matrix2<f64>,
 }
 
 impl Spread {
-    /// That of a lens, its standard deviation in pixels, for a body that moves by `path_px` during
-    /// the exposure, and the standard deviations of its unknowns.
+    /// The expected point spread of a body that moves by `path_px` during the exposure, and the
+    /// standard deviations of its unknowns. `lens_px` is the lens's standard deviation.
     pub(super) fn expected(lens_px: f64, path_px: Vector2<f64>) -> (Self, [f64; 3]) {
         let lens = Matrix2::identity() * lens_px.powi(2);
         let of_lens = LENS_UNCERTAINTY * lens_px.powi(2);
@@ -100,9 +100,11 @@ impl Spread {
         self.limit();
     }
 
-    /// Limits the standard deviations of the Gaussian.
+    /// Limits the standard deviations of the Gaussian and the length of the path.
     pub(super) fn limit(&mut self) {
         let (least, most) = LIMITS_PX;
+        let longest_px = f64::from(self.parts) * PART_BLURS * most;
+        self.path_px = self.path_px.cap_magnitude(longest_px);
         let mut axes = self.gaussian.symmetric_eigen();
         axes.eigenvalues.apply(|value| *value = value.clamp(least.powi(2), most.powi(2)));
         self.gaussian = axes.recompose();
@@ -154,6 +156,8 @@ mod tests {
             }
             spread.add([0.0, 0.0, -20.0]);
             assert!(spread.gaussian.symmetric_eigen().eigenvalues.min() > 0.12, "{spread:?}");
+            spread.add([1e9, 0.0, 0.0]);
+            assert!(spread.path_px.norm() < 100.0, "{spread:?}");
         }
     }
 }

@@ -27,6 +27,7 @@ const SEAM_SIGMA_M: f64 = 6e-5;
 /// It is that of a facet three metres from a lamp: 2 % from the middle of a facet of 6 cm to its
 /// edge. Arms and hulls near the body shade more than that.
 const GRADIENT_SIGMA_PER_M: f64 = 0.7;
+
 /// Values of the unknowns.
 #[derive(Debug, Clone)]
 pub(super) struct State {
@@ -212,7 +213,7 @@ impl Layout {
 
 /// Adds the priors to the normal equations.
 ///
-/// They favour the lens's point spread, black as a small share of white, uniform radiance over each
+/// They favour the expected point spread, black as a small share of white, uniform radiance over each
 /// facet, and faint seams.
 pub(super) fn add_priors(
     normal: &mut DMatrix<f64>,

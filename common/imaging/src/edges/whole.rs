@@ -424,7 +424,8 @@ impl PrintView<'_> {
         let mut hidden = vec![false; columns * rows];
         for (size, place) in sums.sizes.iter().zip(&sums.places) {
             if *size > least {
-                mark_disc(&mut hidden, columns, (place % columns, place / columns), reach);
+                let at = ((place % columns) as isize, (place / columns) as isize);
+                mark_disc(&mut hidden, columns, at, reach);
             }
         }
         let share = sums.places.iter().filter(|place| hidden[**place]).count() as f64
