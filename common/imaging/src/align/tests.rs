@@ -435,6 +435,34 @@ fn occluded_pixels_are_left_out_with_the_occluders_soft_edges() {
 }
 
 #[test]
+fn pixels_that_a_bright_background_outshines_are_left_out() {
+    let (print, light) = (print_of(&body(0)), srgb());
+    let truth = pose(2.0, [0.3, -0.2, 0.9]);
+    let drawing = draw(&body(0), &truth, PIXELS_PER_RADIAN, 0.9, 0.004);
+    let picture = Picture::still(drawing.image(), drawing.view, &light, PIXELS_PER_RADIAN);
+    let options = AlignOptions::default();
+    let view = PreparedView::new(&print, &picture, &truth, &options, 0.0).expect("it is in view");
+    let state = view.state(&print, &truth);
+    let chosen = |background: f32| {
+        let mut patch = view.patch.clone();
+        let scene = Scene::new(&print, &state, &patch);
+        for place in 0..patch.radiance.len() {
+            let at = Vector2::new((place % patch.width) as f64, (place / patch.width) as f64);
+            let direction = patch.pinhole.direction(at);
+            let facets = (0..print.facets.len()).filter_map(|facet| scene.facet(facet));
+            let covered =
+                facets.map(|(seen, blurred)| blurred.coverage(seen.point(&direction)).value);
+            let covered = covered.sum::<f32>().min(1.0);
+            patch.radiance[place] = 0.05 * covered + background * (1.0 - covered);
+        }
+        super::samples::choose(&patch, &scene).len()
+    };
+    let (dark, bright) = (chosen(0.05), chosen(1.0));
+    println!("{dark} samples, {bright} of them in front of a window");
+    assert!(bright < dark && bright > dark / 2, "{dark} {bright}");
+}
+
+#[test]
 fn values_that_are_not_finite_and_wrong_views_are_refused() {
     let print = print_of(&body(0));
     let truth = pose(1.0, [0.3, -0.2, 0.9]);
