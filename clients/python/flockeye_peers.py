@@ -54,9 +54,10 @@ class Report:
     covariance: tuple
     linear_velocity: tuple
     angular_velocity: tuple
-    # This frame's own measurement, the pose predicted to the sending, and the directions in which next to nothing is
-    # known, each as in the JSON; None where it is not said.
+    # This frame's own measurement, another pose that is possible (the track is ambiguous), the pose predicted to the
+    # sending, and the directions in which next to nothing is known, each as in the JSON; None where it is not said.
     measured: dict | None
+    rival: dict | None
     predicted: dict | None
     degenerate: dict | None
     stamp_utc_ns: int
@@ -122,6 +123,7 @@ def _report(frame, target, arrived):
         linear_velocity=_numbers(target, "linear_velocity", 3),
         angular_velocity=_numbers(target, "angular_velocity", 3),
         measured=target.get("measured"),
+        rival=target.get("rival"),
         predicted=target.get("predicted"),
         degenerate=target.get("degenerate"),
         stamp_utc_ns=int(frame["stamp_utc_ns"]),

@@ -109,11 +109,20 @@ impl Bench {
                 let (mirror, found) = (&mirror.camera_from_markers, &found.camera_from_markers);
                 mirror.rotation.angle_to(&found.rotation) > SAME_RAD
             });
-            let lead = rival
-                .map_or(f64::INFINITY, |rival| found.evidence.log_odds - rival.evidence.log_odds);
+            let coasted = self.chance.coasted(truth);
             let truth = (kind != Kind::Other).then_some(*truth);
             let (origin, blur_px) = (still.origin, shown.blur_px);
-            self.tally.add(Hypothesis { kind, origin, stop, truth, blur_px, start, found, lead });
+            self.tally.add(Hypothesis {
+                kind,
+                origin,
+                stop,
+                truth,
+                blur_px,
+                start,
+                found,
+                rival,
+                coasted,
+            });
         }
     }
 
@@ -132,16 +141,16 @@ impl Bench {
             Picture::still(view.image(), view.view, &self.light, still.pixels_per_radian());
         for print in still.prints.iter() {
             if let Ok(found) = align(print, &picture, &start, &AlignOptions::default()) {
-                let (kind, origin, lead) = (Kind::Absent, still.origin, f64::INFINITY);
                 self.tally.add(Hypothesis {
-                    kind,
-                    origin,
+                    kind: Kind::Absent,
+                    origin: still.origin,
                     stop,
                     truth: None,
                     blur_px: 0.0,
                     start,
                     found,
-                    lead,
+                    rival: None,
+                    coasted: self.chance.coasted(&start),
                 });
             }
         }

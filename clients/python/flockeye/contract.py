@@ -8,7 +8,7 @@ from ctypes import c_double, c_float, c_int64, c_uint8, c_uint32, c_uint64
 from enum import IntEnum
 from typing import NamedTuple
 
-CONTRACT_VERSION = "7"
+CONTRACT_VERSION = "8"
 VERSION_ATTRIBUTE = "flockeye.contract"
 # Of an index that points nowhere.
 NONE = 0xFFFFFFFF
@@ -367,6 +367,9 @@ class Track(Contract):
         ("measured_covariance", c_double * 36),
         ("predicted_observer_from_target", Pose),
         ("predicted_covariance", c_double * 36),
+        ("rival_observer_from_target", Pose),
+        ("rival_covariance", c_double * 36),
+        ("rival_lead", c_double),
         ("predicted_ns", c_int64),
         ("age_ns", c_int64),
         ("unseen_ns", c_int64),
@@ -377,7 +380,7 @@ class Track(Contract):
         ("state", c_uint32),
         ("measured_by", c_uint32),
         ("markers", c_uint32),
-        ("reserved", c_uint32),
+        ("is_ambiguous", c_uint32),
     ]
 
 

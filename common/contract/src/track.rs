@@ -103,7 +103,7 @@ pub struct Track {
     /// Filtered pose of the target drone in the observer drone's frame.
     pub observer_from_target: Pose,
     /// Its covariance, 6x6 row-major: position (m), then rotation vector (rad), both in the
-    /// observer's frame.
+    /// observer's frame. Where `is_ambiguous` is 1, it covers the rival too.
     pub covariance: [f64; 36],
     /// Velocity of the target relative to the observer, along the observer's axes, m/s. Where the
     /// observer's own rotation is known (`rotation`), it is subtracted. Then a neighbour that
@@ -121,6 +121,14 @@ pub struct Track {
     pub predicted_observer_from_target: Pose,
     /// Its covariance, as above.
     pub predicted_covariance: [f64; 36],
+    /// Another pose that the target may have instead of the filtered one, where `is_ambiguous` is 1:
+    /// for example the mirror pose of a flat marker. If one of the two is true, the other is false.
+    pub rival_observer_from_target: Pose,
+    /// Its covariance, as above.
+    pub rival_covariance: [f64; 36],
+    /// Log odds of the filtered pose against the rival, at least 0. The rival's probability is
+    /// 1 / (1 + e^lead).
+    pub rival_lead: f64,
     /// Time for which `predicted_observer_from_target` holds, on the clock of the exposures: the
     /// sending time. In a lossless run, which is not in real time, it is the exposure.
     pub predicted_ns: i64,
@@ -142,8 +150,8 @@ pub struct Track {
     pub measured_by: u32,
     /// Number of markers of the target decoded in this frame so far.
     pub markers: u32,
-    /// Keeps the size a multiple of 8; zero.
-    pub reserved: u32,
+    /// 1 where the rival is possible. Nothing is published as measured then.
+    pub is_ambiguous: u32,
 }
 
 #[expect(clippy::derivable_impls, reason = "arrays of 36 elements have no default")]
@@ -153,12 +161,22 @@ impl Default for Track {
             observer_from_target: Pose::default(),
             measured_observer_from_target: Pose::default(),
             predicted_observer_from_target: Pose::default(),
+            rival_observer_from_target: Pose::default(),
             ..Self::zeroed()
         }
     }
 }
 
 impl Track {
+    /// Name of the track's state, for people: `ambiguous` where the rival is possible.
+    pub fn state_name(&self) -> &'static str {
+        match TrackState::try_from(self.state) {
+            Ok(_) if self.is_ambiguous != 0 => "ambiguous",
+            Ok(state) => state.name(),
+            Err(_) => "unknown",
+        }
+    }
+
     /// Refuses unknown states and invalid poses.
     pub fn check(&self) -> Result<(), ContractError> {
         TrackState::try_from(self.state)?;
@@ -168,6 +186,11 @@ impl Track {
         check_finite("velocity", &self.angular_velocity)?;
         self.predicted_observer_from_target.check()?;
         check_finite("predicted covariance", &self.predicted_covariance)?;
+        if self.is_ambiguous != 0 {
+            self.rival_observer_from_target.check()?;
+            check_finite("rival's covariance", &self.rival_covariance)?;
+            check_finite("rival's lead", &[self.rival_lead])?;
+        }
         if MeasuredBy::try_from(self.measured_by)? != MeasuredBy::Nothing {
             self.measured_observer_from_target.check()?;
             check_finite("measured covariance", &self.measured_covariance)?;

@@ -16,14 +16,15 @@
 //! the rotation is not known, the camera counts as not turning, and velocities are relative to the
 //! camera.
 
+mod belief;
 mod chi_square;
 mod life;
 mod saved;
 
+pub use belief::{CONFIRM_WINDOW, GATE_PROBABILITY, STALE_AFTER_FRAMES};
 pub use chi_square::{chi_square_gate, chi_square_quantile};
 pub use life::{
-    CONFIRM_WINDOW, FrameMeasurement, GATE_PROBABILITY, HISTORY_S, Happened, LifeCycle,
-    RESTART_AFTER_GATED, STALE_AFTER_FRAMES, TrackPolicy, TrackState,
+    FrameMeasurement, HISTORY_S, Happened, LifeCycle, RivalPose, TrackPolicy, TrackState,
 };
 pub use saved::SavedLife;
 
@@ -94,6 +95,12 @@ impl MotionEstimate {
     /// Velocity relative to the turning camera, in which an object at rest moves, m/s.
     pub fn apparent_velocity(&self) -> Vector3<f64> {
         self.velocity - self.camera_rate.cross(&self.camera_from_markers.translation.vector)
+    }
+
+    /// The pose with its covariance.
+    pub fn pose(&self) -> PoseEstimate {
+        let camera_from_markers = self.camera_from_markers;
+        PoseEstimate { camera_from_markers, covariance: self.pose_covariance() }
     }
 
     /// Covariance of the pose: position (m), then rotation vector (rad), in the camera's axes.

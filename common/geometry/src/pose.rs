@@ -20,7 +20,7 @@ mod refine;
 mod residual;
 
 pub use candidates::{mirror_image, solve};
-pub use choice::{choose, lead};
+pub use choice::{FALSE_POSES_PER_HOUR, choose, lead, least_lead};
 pub use ippe::squared_distance_from_square;
 pub use rays::{CornerRay, keep_sharpest};
 pub use residual::moved;

@@ -105,6 +105,7 @@ pub(crate) mod tests {
             angular_velocity: [0.0; 3],
             measured: None,
             predicted: None,
+            rival: None,
             degenerate: None,
         }
     }

@@ -73,6 +73,7 @@ fn target(name: &str) -> TargetReport {
         angular_velocity: [0.0, 0.0, 0.2],
         measured: None,
         predicted: None,
+        rival: None,
         degenerate: None,
     }
 }

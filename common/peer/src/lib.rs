@@ -60,6 +60,6 @@ mod uncertain_pose;
 
 pub use client::Client;
 pub use flockeye_network::{NetworkError, ReportStream};
-pub use report::PeerReport;
+pub use report::{PeerReport, Rival};
 pub use swarm::{DronePlace, SwarmView};
 pub use uncertain_pose::UncertainPose;

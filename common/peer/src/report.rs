@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use flockeye_contract::wire::{Degenerate, Sighting, TargetReport};
+use flockeye_contract::wire::{self, Degenerate, Sighting, TargetReport};
 use flockeye_contract::{FrameStamp, MeasuredBy, Pose, Track, TrackState};
 use flockeye_convert::{isometry, matrix6, symmetric6};
 use flockeye_network::TimedSighting;
@@ -28,6 +28,9 @@ pub struct PeerReport {
     pub observer_from_target: UncertainPose,
     /// This frame's own measurement of that pose, where the report has one.
     pub measured: Option<UncertainPose>,
+    /// Another pose that the target may have instead, where the track is ambiguous.
+    /// `observer_from_target` has a covariance that covers both then.
+    pub rival: Option<Rival>,
     /// Velocity relative to the observer, along its axes, m/s.
     pub velocity: Vector3<f64>,
     /// Angular velocity relative to the observer, along its axes, rad/s.
@@ -39,6 +42,15 @@ pub struct PeerReport {
     pub exposure_monotonic_ns: i64,
     /// Standard deviation of the exposure time, nanoseconds.
     pub exposure_deviation_ns: i64,
+}
+
+/// A pose that is possible beside the filtered one. If one of the two is true, the other is false.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Rival {
+    /// The pose, with its own covariance.
+    pub observer_from_target: UncertainPose,
+    /// Log odds of the filtered pose against this one, at least 0.
+    pub lead: f64,
 }
 
 impl PeerReport {
@@ -65,6 +77,13 @@ impl PeerReport {
             measured_by,
             observer_from_target: uncertain(&track.observer_from_target, &track.covariance),
             measured,
+            rival: (track.is_ambiguous != 0).then(|| Rival {
+                observer_from_target: uncertain(
+                    &track.rival_observer_from_target,
+                    &track.rival_covariance,
+                ),
+                lead: track.rival_lead,
+            }),
             velocity: track.linear_velocity.into(),
             rate: track.angular_velocity.into(),
             degenerate: None,
@@ -104,6 +123,11 @@ impl From<&TimedSighting> for PeerReport {
             observer_from_target: pose(*position, *orientation, covariance),
             measured: target.measured.as_ref().map(|measured| {
                 pose(measured.position, measured.orientation, &measured.covariance)
+            }),
+            rival: target.rival.as_ref().map(|rival| {
+                let wire::Rival { position, orientation, covariance, lead } = rival;
+                let observer_from_target = pose(*position, *orientation, covariance);
+                Rival { observer_from_target, lead: *lead }
             }),
             velocity: target.linear_velocity.into(),
             rate: target.angular_velocity.into(),

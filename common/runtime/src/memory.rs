@@ -342,7 +342,7 @@ impl fmt::Display for Budget {
 
 // Sizes of the largest messages, on which the numbers of items above rely.
 const _: () = assert!(size_of::<DetectedMarker>() * MARKERS < 16_384);
-const _: () = assert!(size_of::<Track>() * MAX_TRACKS < 20_480);
+const _: () = assert!(size_of::<Track>() * MAX_TRACKS < 25_600);
 const _: () = assert!(size_of::<JournalEntry>() * MAX_JOURNAL_ENTRIES < 4_096);
 const _: () = assert!(size_of::<BodyTruth>() * TRUTH_BODIES < 8_192);
 const _: () = assert!(size_of::<PlannedView>() < 256);

@@ -94,7 +94,7 @@ impl Trial {
             view_index: None,
             budget,
             is_deferred: false,
-            predicted: prior.predicted().copied(),
+            predicted: prior.predicted().map(|predicted| predicted.camera_from_markers),
             is_confirmed: prior.confirmed().is_some(),
             decoded: Vec::new(),
             doubtful: Vec::new(),

@@ -147,7 +147,7 @@ impl Aligner {
         is_marked: impl Fn(&Isometry3<f64>) -> bool,
         confirmed: Option<&PoseEstimate>,
         needs_facets: bool,
-        round: Option<&Isometry3<f64>>,
+        round: Option<&PoseEstimate>,
         tried: &mut Vec<Hypothesis>,
     ) -> Decision {
         let decision = match confirmed {
@@ -156,7 +156,9 @@ impl Aligner {
         };
         match round {
             Some(predicted) => {
-                self.or_round(decision, sought.target, sought.picture, predicted, tried)
+                let Sought { target, picture, .. } = *sought;
+                let is_confirmed = confirmed.is_some();
+                self.or_round(decision, target, picture, predicted, is_confirmed, tried)
             }
             None => decision,
         }
@@ -179,19 +181,51 @@ impl Aligner {
             // The prediction would pull other starts away from the pose that they support.
             let guide = source.is_prediction().then_some(predicted);
             let found = self.try_align(target, picture, start, guide);
-            let turn_log = found
-                .as_ref()
-                .ok()
-                .map(|found| decide::turn_log(found, &predicted.camera_from_markers));
-            let hypothesis =
-                Hypothesis { turn_log, ..Hypothesis::marked(*source, found, &is_marked) };
+            let hypothesis = self.predicted(target, *source, found, predicted, &is_marked);
             let is_certain = decide::is_certain(&hypothesis);
             tried.push(hypothesis);
             if is_certain {
                 break;
             }
         }
-        decide::of_tracked(tried)
+        let decision = decide::of_tracked(tried);
+        self.or_mirror(decision, target, picture, predicted, is_marked, tried)
+    }
+
+    /// Also tries the mirror pose of the chosen pose, unless several facets or the prediction
+    /// exclude it.
+    fn or_mirror(
+        &self,
+        decision: Decision,
+        target: usize,
+        picture: &Picture<'_>,
+        predicted: &PoseEstimate,
+        is_marked: impl Fn(&Isometry3<f64>) -> bool,
+        tried: &mut Vec<Hypothesis>,
+    ) -> Decision {
+        let is_undecided = |found: &&Alignment| !found.evidence.is_unambiguous();
+        let Some(best) = decision.chosen_of(tried).filter(is_undecided) else { return decision };
+        let Some(mirror) = self.mirror_pose(target, best) else { return decision };
+        if decide::excludes_mirror(predicted, &best.camera_from_markers, &mirror) {
+            return decision;
+        }
+        let found = self.try_align(target, picture, &Start::Fine(mirror), None);
+        tried.push(self.predicted(target, StartSource::Mirror, found, predicted, is_marked));
+        decide::with_mirror(decision, tried)
+    }
+
+    /// A hypothesis about a body that a confirmed track predicts.
+    fn predicted(
+        &self,
+        target: usize,
+        source: StartSource,
+        found: Result<Alignment, AlignError>,
+        predicted: &PoseEstimate,
+        is_marked: impl Fn(&Isometry3<f64>) -> bool,
+    ) -> Hypothesis {
+        let found_pose = found.as_ref().ok().map(|found| found.camera_from_markers);
+        let turn_log = found_pose.map(|found| decide::turn_log(&found, predicted));
+        Hypothesis { turn_log, ..self.competing(target, source, found, is_marked) }
     }
 
     /// Finds a body of which no track is confirmed from all of its starts. Hypotheses compete: the
@@ -220,8 +254,9 @@ impl Aligner {
         }
         let likeliest = decide::likeliest(tried);
         let best = likeliest.and_then(|index| tried.get(index)?.alignment());
-        if let Some(mirror) = best.and_then(|best| self.mirror_of(target, picture, best)) {
-            tried.push(self.competing(target, StartSource::Mirror, Ok(mirror), &is_marked));
+        if let Some(mirror) = best.and_then(|best| self.mirror_pose(target, best)) {
+            let found = self.try_align(target, picture, &Start::Fine(mirror), None);
+            tried.push(self.competing(target, StartSource::Mirror, found, &is_marked));
         }
         decide::of_untracked(tried, likeliest, needs_facets)
     }
@@ -239,16 +274,10 @@ impl Aligner {
         Hypothesis { tilt_log, ..Hypothesis::marked(source, found, is_marked) }
     }
 
-    /// Alignment of the mirror pose of a hypothesis, about its most informative facet.
-    fn mirror_of(
-        &self,
-        target: usize,
-        picture: &Picture<'_>,
-        found: &Alignment,
-    ) -> Option<Alignment> {
+    /// The mirror pose of a hypothesis, about its most informative facet.
+    fn mirror_pose(&self, target: usize, found: &Alignment) -> Option<Isometry3<f64>> {
         let facet = found.evidence.most_informative_facet?;
-        let mirror = self.prints.get(target)?.mirrored(facet, &found.camera_from_markers)?;
-        self.align(target, picture, &Start::Fine(mirror))
+        self.prints.get(target)?.mirrored(facet, &found.camera_from_markers)
     }
 
     /// Whether body `target` is tilted within the limit in a pose; `None` where no limit is known.
@@ -268,21 +297,31 @@ impl Aligner {
         reacquire(self.prints.get(target)?, picture, predicted, &self.options)
     }
 
-    /// Also searches around a prediction, unless a precise pose is chosen.
+    /// Also searches around a prediction, of a confirmed track or not, unless a precise pose is
+    /// chosen.
     pub(crate) fn or_round(
         &self,
         decision: Decision,
         target: usize,
         picture: &Picture<'_>,
-        predicted: &Isometry3<f64>,
+        predicted: &PoseEstimate,
+        is_confirmed: bool,
         tried: &mut Vec<Hypothesis>,
     ) -> Decision {
         if decide::is_precise(&decision, tried) {
             return decision;
         }
-        let found = self.reacquire(target, picture, predicted).ok_or(AlignError::Nothing);
-        tried.push(Hypothesis::of(StartSource::Search, found));
-        decide::with_search(decision, tried, predicted)
+        let found = self.reacquire(target, picture, &predicted.camera_from_markers);
+        let (source, found) = (StartSource::Search, found.ok_or(AlignError::Nothing));
+        tried.push(match is_confirmed {
+            true => self.predicted(target, source, found, predicted, |_| false),
+            false => self.competing(target, source, found, |_| false),
+        });
+        let decision = decide::with_search(decision, tried, predicted);
+        match is_confirmed {
+            true => self.or_mirror(decision, target, picture, predicted, |_| false, tried),
+            false => decision,
+        }
     }
 
     /// Searches for body `target` in any attitude at a place.

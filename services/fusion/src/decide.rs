@@ -21,11 +21,13 @@ pub(crate) mod outcome;
 mod tests;
 
 use flockeye_contract::MeasuredBy;
+use flockeye_geometry::filter::{GATE_PROBABILITY, RivalPose, chi_square_gate};
 use flockeye_geometry::pose::{
-    PoseEstimate, PoseSolution, is_false, position_deviation_m, rotation_deviation_rad,
+    PoseEstimate, PoseSolution, is_false, least_lead, pose_difference, position_deviation_m,
+    rotation_deviation_rad,
 };
-use flockeye_imaging::align::{Alignment, is_precise_by_corners, least_lead};
-use nalgebra::Isometry3;
+use flockeye_imaging::align::{Alignment, is_precise_by_corners};
+use nalgebra::{Isometry3, Matrix3};
 
 use crate::hypothesis::{CornerPose, CornerVerdict, Hypothesis, StartSource};
 use crate::measurement::PoseMeasurement;
@@ -46,8 +48,11 @@ pub(crate) const MARKERS_WITHOUT_TRACK: usize = 2;
 /// Decision about the poses that a pass has tried.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Decision {
-    /// The body's pose.
+    /// The body's pose, or the likelier one of two.
     pub chosen: Option<PoseIndex>,
+    /// Where the first rival may be the body's pose instead: the lead of the chosen one over all
+    /// rivals, in log odds.
+    pub lead: Option<f64>,
     /// Indices of the hypotheses that compete with the likeliest one, the likeliest first.
     pub rivals: Vec<usize>,
     /// Verdict on each hypothesis, in their order.
@@ -95,7 +100,7 @@ impl Decision {
             Ok(_) => Verdict::BelowThreshold,
             Err(_) => Verdict::NotAligned,
         };
-        Self { chosen: None, rivals: Vec::new(), reasons: tried.iter().map(reason).collect() }
+        Self { reasons: tried.iter().map(reason).collect(), ..Self::default() }
     }
 
     /// The index of the chosen hypothesis.
@@ -113,7 +118,28 @@ impl Decision {
 
     fn choose(&mut self, index: usize) {
         self.chosen = Some(PoseIndex::Hypothesis(index));
+        self.lead = None;
         self.give_reason(index, Verdict::Accepted);
+    }
+
+    /// Chooses a hypothesis, unless its rivals are too likely. Then both it and the likeliest rival
+    /// are possible, if no third one is.
+    fn choose_among(&mut self, tried: &[Hypothesis], best: usize) {
+        let rivals = rivals_of(tried, best);
+        let [all, others] = [&rivals[..], rivals.get(1..).unwrap_or_default()]
+            .map(|some| some.iter().map(|(_, log_odds)| log_odds.exp()).sum::<f64>());
+        let limit = (-least_lead()).exp();
+        self.rivals = rivals.iter().map(|(index, _)| *index).collect();
+        if all <= limit {
+            return self.choose(best);
+        }
+        let lead = -all.ln();
+        self.rivals.clone().into_iter().for_each(|rival| self.give_reason(rival, Verdict::Rival));
+        self.give_reason(best, Verdict::Rivals(lead));
+        if others <= limit {
+            self.chosen = Some(PoseIndex::Hypothesis(best));
+            self.lead = Some(lead.max(0.0));
+        }
     }
 
     fn give_reason(&mut self, index: usize, verdict: Verdict) {
@@ -125,18 +151,55 @@ impl Decision {
         if let Some(index) = self.hypothesis() {
             self.give_reason(index, verdict);
         }
-        Self { chosen: None, ..self }
+        Self { chosen: None, lead: None, ..self }
     }
 }
 
+/// Hypotheses that would be false if `best` is true, the likeliest first, with their log odds less
+/// its own. Starts that led to the same pose are one rival: the likeliest of them counts.
+fn rivals_of(tried: &[Hypothesis], best: usize) -> Vec<(usize, f64)> {
+    let most = tried.get(best).and_then(Hypothesis::log_odds).unwrap_or_default();
+    let is_same = |one: usize, other: usize| is_same(&tried[one], &tried[other]);
+    let mut rivals: Vec<(usize, f64)> = competitors(tried)
+        .filter(|(other, _)| *other != best && is_elsewhere(&tried[best], &tried[*other]))
+        .map(|(other, log_odds)| (other, log_odds - most))
+        .collect();
+    rivals.sort_by(|(_, one), (_, other)| other.total_cmp(one));
+    let mut distinct: Vec<(usize, f64)> = Vec::new();
+    for rival in rivals {
+        if !distinct.iter().any(|(other, _)| is_same(*other, rival.0)) {
+            distinct.push(rival);
+        }
+    }
+    distinct
+}
+
 /// Log of the likelihood ratio of a pose's turn from its track's prediction, if it is right against
-/// if it is false. In a third of a second out of sight, a neighbour may turn by as much as its
-/// mirror pose. The filter's gate allows for that.
-pub fn turn_log(found: &Alignment, predicted: &Isometry3<f64>) -> f64 {
-    let turn_rad = found.camera_from_markers.rotation.angle_to(&predicted.rotation);
-    // Two normal densities in three axes.
-    let density = |sigma: f64| -3.0 * sigma.ln() - 0.5 * (turn_rad / sigma).powi(2);
+/// if it is false. Both are normal densities, to which the prediction's own covariance is added. So
+/// a prediction that knows little of the attitude says little against a mirror pose.
+pub fn turn_log(camera_from_markers: &Isometry3<f64>, predicted: &PoseEstimate) -> f64 {
+    let turn = pose_difference(camera_from_markers, &predicted.camera_from_markers)
+        .fixed_rows::<3>(3)
+        .into_owned();
+    let prior = predicted.covariance.fixed_view::<3, 3>(3, 3);
+    let density = |sigma_rad: f64| {
+        let covariance = prior + Matrix3::from_diagonal_element(sigma_rad.powi(2));
+        // A matrix that is no covariance has no weight.
+        covariance.cholesky().map_or(0.0, |factor| {
+            let log_deviations: f64 = factor.l_dirty().diagonal().map(f64::ln).sum();
+            -0.5 * turn.dot(&factor.solve(&turn)) - log_deviations
+        })
+    };
     density(TURN_SIGMA_RAD) - density(FALSE_TURN_SIGMA_RAD)
+}
+
+/// Whether a prediction alone excludes a mirror pose beside a pose that was found.
+pub(crate) fn excludes_mirror(
+    predicted: &PoseEstimate,
+    found: &Isometry3<f64>,
+    mirror: &Isometry3<f64>,
+) -> bool {
+    turn_log(found, predicted) - turn_log(mirror, predicted) >= least_lead()
 }
 
 /// Log odds from the tilt of a pose; `is_within_limit` is `None` if no limit is known.
@@ -187,21 +250,26 @@ pub(crate) fn is_certain(hypothesis: &Hypothesis) -> bool {
     has_precise_pose(hypothesis) && is_accepted(hypothesis) && is_predicted(hypothesis)
 }
 
-/// Decides about the pose that started from the prediction of a confirmed track alone.
-pub(crate) fn of_direct_pass(tried: &Hypothesis) -> Decision {
-    let mut decision = Decision::nothing(std::slice::from_ref(tried));
-    if is_certain(tried) {
-        decision.choose(0);
-    } else if is_accepted(tried) && is_predicted(tried) {
+/// Decides about the pose that started from the prediction of a confirmed track alone, the first
+/// one, and its mirror pose. Others wait for markers.
+pub(crate) fn of_direct_pass(tried: &[Hypothesis]) -> Decision {
+    let mut decision = Decision::nothing(tried);
+    let Some(first) = tried.first() else { return decision };
+    if is_certain(first) {
+        decision.choose_among(tried, 0);
+    } else if is_accepted(first) && is_predicted(first) {
         decision.give_reason(0, Verdict::Imprecise);
     }
-    decision
+    match decision.lead {
+        Some(_) => Decision { chosen: None, lead: None, ..decision },
+        None => decision,
+    }
 }
 
 /// Decides about poses of a body that a confirmed track predicts. The certain one is chosen.
 /// Otherwise it is the likeliest that the prediction, decoded markers or several facets support,
-/// precise or not.
-pub(crate) fn of_tracked(tried: &[Hypothesis]) -> Decision {
+/// precise or not. Either must lead over its rivals.
+pub fn of_tracked(tried: &[Hypothesis]) -> Decision {
     let mut decision = Decision::nothing(tried);
     let mut best: Option<(f64, usize)> = None;
     for (index, log_odds) in competitors(tried) {
@@ -218,7 +286,7 @@ pub(crate) fn of_tracked(tried: &[Hypothesis]) -> Decision {
             }
         }
     }
-    best.into_iter().for_each(|(_, index)| decision.choose(index));
+    best.into_iter().for_each(|(_, index)| decision.choose_among(tried, index));
     decision
 }
 
@@ -246,47 +314,39 @@ pub(crate) fn likeliest(tried: &[Hypothesis]) -> Option<usize> {
         .map(|(index, _)| index)
 }
 
-/// Decides about poses of a body that no confirmed track predicts. The [`likeliest`] one is chosen
-/// if it is much likelier than all others together. If one facet alone may not decide yet
-/// (`needs_facets`), several must support it.
+/// Decides about poses of a body that no confirmed track predicts. The [`likeliest`] one must lead
+/// over its rivals. If one facet alone may not decide yet (`needs_facets`), several must support it.
 pub(crate) fn of_untracked(
     tried: &[Hypothesis],
     likeliest: Option<usize>,
     needs_facets: bool,
 ) -> Decision {
     let mut decision = Decision::nothing(tried);
-    let all: Vec<(usize, f64)> = competitors(tried).collect();
-    for &(index, _) in all.iter().filter(|(index, _)| is_likely(&tried[*index])) {
+    for (index, _) in competitors(tried).filter(|(index, _)| is_likely(&tried[*index])) {
         let is_precise = has_precise_pose(&tried[index]);
         let verdict = if is_precise { Verdict::LessLikely } else { Verdict::Imprecise };
         decision.give_reason(index, verdict);
     }
-    let Some(&(best, most)) = all.iter().find(|(index, _)| Some(*index) == likeliest) else {
-        return decision;
+    let Some(best) = likeliest else { return decision };
+    decision.choose_among(tried, best);
+    let is_undecided = decision.lead.is_some() || !is_unambiguous(&tried[best]);
+    match needs_facets && is_undecided && decision.chosen.is_some() {
+        true => decision.refused(Verdict::OneFacetAlone),
+        false => decision,
+    }
+}
+
+/// Whether a pose would be false if `best` is true, and the covariance of `best` does not say so.
+fn is_elsewhere(best: &Hypothesis, other: &Hypothesis) -> bool {
+    let Some((best_pose, other_pose)) = best.alignment().zip(other.alignment()) else {
+        return false;
     };
-    let is_same = |one: usize, other: usize| is_same(&tried[one], &tried[other]);
-    let mut rivals: Vec<(usize, f64)> =
-        all.into_iter().filter(|(other, _)| !is_same(best, *other)).collect();
-    rivals.sort_by(|(_, one), (_, other)| other.total_cmp(one));
-    // Starts that led to the same pose are one rival: the most likely of them counts.
-    let mut distinct: Vec<(usize, f64)> = Vec::new();
-    for rival in rivals {
-        if !distinct.iter().any(|(other, _)| is_same(*other, rival.0)) {
-            distinct.push(rival);
-        }
-    }
-    let together: f64 = distinct.iter().map(|(_, log_odds)| (log_odds - most).exp()).sum();
-    decision.rivals = distinct.iter().map(|(index, _)| *index).collect();
-    let has_lead = together <= (-least_lead()).exp();
-    if !has_lead {
-        distinct.iter().for_each(|(index, _)| decision.give_reason(*index, Verdict::Rival));
-        decision.give_reason(best, Verdict::Rivals(-together.ln()));
-    } else if needs_facets && !is_unambiguous(&tried[best]) {
-        decision.give_reason(best, Verdict::OneFacetAlone);
-    } else {
-        decision.choose(best);
-    }
-    decision
+    let difference =
+        pose_difference(&other_pose.camera_from_markers, &best_pose.camera_from_markers);
+    let is_near = best_pose.covariance.cholesky().is_some_and(|factor| {
+        difference.dot(&factor.solve(&difference)) <= chi_square_gate(GATE_PROBABILITY)
+    });
+    !is_same(best, other) && !is_near
 }
 
 /// Whether two poses are equivalent: neither is false if the other one is true.
@@ -306,7 +366,7 @@ pub(crate) fn is_precise(decision: &Decision, tried: &[Hypothesis]) -> bool {
 pub(crate) fn with_search(
     mut decision: Decision,
     tried: &[Hypothesis],
-    predicted: &Isometry3<f64>,
+    predicted: &PoseEstimate,
 ) -> Decision {
     let Some((last, searched)) = tried.iter().enumerate().next_back() else { return decision };
     let Some(searched) = searched.alignment() else {
@@ -314,16 +374,16 @@ pub(crate) fn with_search(
         return decision;
     };
     decision.reasons.push(Verdict::LessLikely);
-    let likelihood = |found: &Alignment| found.evidence.log_odds + turn_log(found, predicted);
+    let likelihood = |found: &Alignment| {
+        found.evidence.log_odds + turn_log(&found.camera_from_markers, predicted)
+    };
     let before = decision.hypothesis().zip(decision.chosen_of(tried));
     match before {
-        Some((_, before)) if likelihood(before) > likelihood(searched) => {}
-        Some((index, _)) => {
-            decision.give_reason(index, Verdict::LessLikely);
-            decision.choose(last);
-        }
-        None => decision.choose(last),
+        Some((_, before)) if likelihood(before) > likelihood(searched) => return decision,
+        Some((index, _)) => decision.give_reason(index, Verdict::LessLikely),
+        None => {}
     }
+    decision.choose_among(tried, last);
     decision
 }
 
@@ -360,6 +420,13 @@ pub(crate) fn of_corners(
     CornerVerdict::Enough
 }
 
+/// Decides again if the last hypothesis is the mirror pose of the chosen one.
+pub(crate) fn with_mirror(mut decision: Decision, tried: &[Hypothesis]) -> Decision {
+    decision.reasons.extend(Decision::nothing(tried).reasons.pop());
+    decision.hypothesis().into_iter().for_each(|best| decision.choose_among(tried, best));
+    decision
+}
+
 /// Chooses between the picture and the corners alone: a precise pose comes first, then one from the
 /// picture.
 pub(crate) fn with_corners(
@@ -380,10 +447,10 @@ pub(crate) fn with_corners(
     };
     let Some(index) = corner_poses.iter().position(of_use) else { return decision };
     let are_corners_precise = corner_poses[index].verdict == CornerVerdict::Enough;
-    let by_picture = is_precise(&decision, tried) || !are_corners_precise;
+    let is_decided = is_precise(&decision, tried) && decision.lead.is_none();
     match decision.chosen {
-        Some(_) if by_picture => decision,
-        _ => Decision { chosen: Some(PoseIndex::Corners(index)), ..decision },
+        Some(_) if is_decided || !are_corners_precise => decision,
+        _ => Decision { chosen: Some(PoseIndex::Corners(index)), lead: None, ..decision },
     }
 }
 
@@ -396,7 +463,13 @@ pub(crate) fn measurement(
 ) -> Option<PoseMeasurement> {
     match decision.chosen? {
         PoseIndex::Hypothesis(index) => {
-            Some(PoseMeasurement::aligned(tried.get(index)?.alignment()?, markers))
+            let measurement = PoseMeasurement::aligned(tried.get(index)?.alignment()?, markers);
+            let rival = decision.lead.and_then(|lead| {
+                let rival = tried.get(*decision.rivals.first()?)?.alignment()?;
+                Some(RivalPose { pose: rival.pose(), lead })
+            });
+            let is_proven = measurement.is_proven && rival.is_none();
+            Some(PoseMeasurement { rival, is_proven, ..measurement })
         }
         PoseIndex::Corners(index) => {
             let CornerPose { solution, verdict, .. } = corner_poses.get(index)?;
@@ -404,6 +477,7 @@ pub(crate) fn measurement(
             let covariance = solution.inflated_covariance();
             Some(PoseMeasurement {
                 pose: PoseEstimate { camera_from_markers, covariance },
+                rival: None,
                 measured_by: MeasuredBy::Decoded,
                 markers,
                 is_precise: *verdict == CornerVerdict::Enough,

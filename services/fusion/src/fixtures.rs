@@ -10,10 +10,10 @@ use flockeye_geometry::partition::Partition;
 use flockeye_geometry::search::{Plan, PlanOrder, Planner, RoiOptions};
 use flockeye_imaging::align::Picture;
 use flockeye_imaging::light::{CodeRange, LinearLight, TransferCurve};
-use nalgebra::Isometry3;
+use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 
 use crate::aligner::{Aligner, BestView};
-use crate::drawn_body::prints;
+use crate::drawn_body::{draw, prints};
 use crate::measurement::PoseMeasurement;
 use crate::planning::Planning;
 use crate::record::Record;
@@ -50,9 +50,26 @@ pub(crate) fn plan() -> Plan {
     Planning::new(&planner).next(&planner, 1, &tracker_of(vec![alpha()], 1)).plan
 }
 
+/// A pose in which the first marker of a body faces the camera, tilted by 0.7 radians.
+pub(crate) fn facing(body: &Body, range_m: f64) -> Isometry3<f64> {
+    let towards = Vector3::new(0.8, 0.5, 0.33).normalize();
+    let turn = UnitQuaternion::rotation_between(&body.markers[0].normal(), &-towards).unwrap();
+    let tilt = UnitQuaternion::from_euler_angles(0.0, 0.0, 0.7);
+    Isometry3::from_parts(Translation3::from(towards * range_m), tilt * turn)
+}
+
 /// Gives `by` a view that shows alpha at `pose`.
 pub(crate) fn with_view<T>(pose: &Isometry3<f64>, by: impl FnOnce(&BestView<'_>) -> T) -> T {
-    let drawing = drawing(pose);
+    with_view_of(&alpha(), pose, by)
+}
+
+/// Gives `by` a view that shows a body at `pose`.
+pub(crate) fn with_view_of<T>(
+    body: &Body,
+    pose: &Isometry3<f64>,
+    by: impl FnOnce(&BestView<'_>) -> T,
+) -> T {
+    let drawing = draw(body, pose, PIXELS_PER_RADIAN, 0.9, 0.004);
     let light = LinearLight::new(TransferCurve::Srgb, CodeRange::Full).unwrap();
     let (image, view) = (drawing.image(), drawing.view);
     let picture = Picture::still(image, view, &light, PIXELS_PER_RADIAN);

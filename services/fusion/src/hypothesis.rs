@@ -27,7 +27,7 @@ pub enum StartSource {
     Corners,
     /// Corners of squares that are probably markers.
     DoubtfulSquares,
-    /// The track's prediction.
+    /// The track's prediction. An ambiguous track has two.
     Prediction,
     /// The track's prediction, with a coarse fit before the fine one.
     RoughPrediction,

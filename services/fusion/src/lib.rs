@@ -84,7 +84,7 @@ pub use self::track_prior::TrackPrior;
 
 // For benchmarks.
 pub use self::aligner::{Aligner, Sought, Start};
-pub use self::decide::turn_log;
+pub use self::decide::{of_tracked, turn_log};
 
 #[cfg(test)]
 #[path = "../../../common/imaging/tests/drawn_body/mod.rs"]

@@ -3,6 +3,7 @@
 use flockeye_contract::{DetectedMarker, MeasuredBy};
 use flockeye_geometry::Ray;
 use flockeye_geometry::body::Body;
+use flockeye_geometry::filter::RivalPose;
 use flockeye_geometry::pose::{CornerRay, PoseEstimate, solve};
 use flockeye_geometry::view::{View, ViewPixel};
 use flockeye_imaging::align::Alignment;
@@ -15,12 +16,13 @@ use crate::decide;
 pub struct PoseMeasurement {
     /// The pose.
     pub pose: PoseEstimate,
+    /// Another pose that explains the frame almost as well.
+    pub rival: Option<RivalPose>,
     /// Source of the measurement, never [`MeasuredBy::Nothing`].
     pub measured_by: MeasuredBy,
     /// Number of decoded markers of the body.
     pub markers: u32,
-    /// Whether the measurement is usable by itself. If not, it only updates a track that it fits,
-    /// and is published as the track's pose.
+    /// Whether its pose is precise. If not, it only updates a track that it fits.
     pub is_precise: bool,
     /// Whether the picture alone proves the pose, by several facets. Then it may replace a stale
     /// track.
@@ -28,14 +30,17 @@ pub struct PoseMeasurement {
 }
 
 impl PoseMeasurement {
+    /// Whether the measurement is usable by itself. If not, it only updates a track, and no pose is
+    /// published as measured.
+    pub fn is_usable_alone(&self) -> bool {
+        self.is_precise && self.rival.is_none()
+    }
+
     /// An alignment's result, with this number of decoded markers.
     pub(crate) fn aligned(found: &Alignment, markers: u32) -> Self {
-        let pose = PoseEstimate {
-            camera_from_markers: found.camera_from_markers,
-            covariance: found.covariance,
-        };
         Self {
-            pose,
+            pose: found.pose(),
+            rival: None,
             measured_by: MeasuredBy::Aligned,
             markers,
             is_precise: found.is_precise,

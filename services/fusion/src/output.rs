@@ -10,7 +10,7 @@ use flockeye_contract::{
 };
 use flockeye_convert::{pose, row_major, search_code, stop_rule, xyzw};
 use flockeye_geometry::body::{Bodies, Body};
-use flockeye_geometry::filter::{self, MotionEstimate};
+use flockeye_geometry::filter::{self, MotionEstimate, RivalPose};
 use flockeye_geometry::pose::PoseEstimate;
 use flockeye_geometry::search::{Purpose, Search, SearchView};
 use flockeye_runtime::memory::MAX_TRACKS;
@@ -118,9 +118,19 @@ impl Writer {
         let tracks = updates.iter().filter_map(|((target, estimate), cause)| {
             let body = self.bodies.get(*target)?;
             let track = track(*target, estimate, body, &self.observer_from_camera);
-            let predicted = tracker.prediction(*target, predicted_ns as f64 * 1e-9);
-            let track = match predicted {
-                Some(predicted) => self.with_prediction(track, &predicted, predicted_ns, body),
+            let predicted_s = predicted_ns as f64 * 1e-9;
+            let rival = tracker.rival(*target, predicted_s).filter(|_| track.is_ambiguous != 0);
+            let track = match tracker.prediction(*target, predicted_s) {
+                Some(predicted) => {
+                    let (at, covariance) =
+                        believed(&predicted.pose(), rival, body, &self.observer_from_camera);
+                    Track {
+                        predicted_observer_from_target: pose(&at),
+                        predicted_covariance: row_major(&covariance),
+                        predicted_ns,
+                        ..track
+                    }
+                }
                 // Without a live track, the last pose is repeated.
                 None => Track {
                     predicted_observer_from_target: track.observer_from_target,
@@ -137,27 +147,6 @@ impl Writer {
             is_last: u32::from(*is_last),
         };
         (header, tracks.collect())
-    }
-
-    /// A track with its prediction for another time.
-    fn with_prediction(
-        &self,
-        track: Track,
-        predicted: &MotionEstimate,
-        predicted_ns: i64,
-        body: &Body,
-    ) -> Track {
-        let estimate = PoseEstimate {
-            camera_from_markers: predicted.camera_from_markers,
-            covariance: predicted.pose_covariance(),
-        };
-        let (at, covariance) = mounted(&estimate, body, &self.observer_from_camera);
-        Track {
-            predicted_observer_from_target: pose(&at),
-            predicted_covariance: row_major(&covariance),
-            predicted_ns,
-            ..track
-        }
     }
 
     /// A plan as a message of the topic `plan`, made after the frame `after` and sent at `now_ns`.
@@ -221,7 +210,9 @@ fn track(
     body: &Body,
     observer_from_camera: &Isometry3<f64>,
 ) -> Track {
-    let (observer_from_target, covariance) = mounted(&estimate.pose, body, observer_from_camera);
+    let (observer_from_target, covariance) =
+        believed(&estimate.pose, estimate.rival, body, observer_from_camera);
+    let rival = estimate.rival.filter(|_| estimate.state != Some(filter::TrackState::Tentative));
     let measured =
         estimate.measured.map(|(measured, _)| mounted(&measured, body, observer_from_camera));
     let measured_by = estimate.measured.map_or(MeasuredBy::Nothing, |(_, by)| by);
@@ -233,9 +224,21 @@ fn track(
         None => TrackState::Measured,
         Some(filter::TrackState::Tentative) if estimate.measured.is_none() => TrackState::Coasting,
         Some(filter::TrackState::Tentative) => TrackState::Tentative,
+        // One of two poses is no measurement.
+        Some(filter::TrackState::Confirmed) if rival.is_some() => TrackState::Coasting,
         Some(filter::TrackState::Confirmed) => TrackState::Confirmed,
         Some(filter::TrackState::Coasting) => TrackState::Coasting,
         Some(filter::TrackState::Lost) => TrackState::Lost,
+    };
+    let track = match rival.map(|rival| (mounted(&rival.pose, body, observer_from_camera), rival)) {
+        None => Track::default(),
+        Some(((at, covariance), rival)) => Track {
+            rival_observer_from_target: pose(&at),
+            rival_covariance: row_major(&covariance),
+            rival_lead: rival.lead,
+            is_ambiguous: 1,
+            ..Track::default()
+        },
     };
     Track {
         observer_from_target: pose(&observer_from_target),
@@ -253,8 +256,22 @@ fn track(
         measured_by: measured_by.code(),
         markers: estimate.markers,
         // The prediction and the latency follow when the track is written.
-        ..Track::default()
+        ..track
     }
+}
+
+/// A [`mounted`] pose, with a covariance that covers its rival too.
+fn believed(
+    estimate: &PoseEstimate,
+    rival: Option<RivalPose>,
+    body: &Body,
+    observer_from_camera: &Isometry3<f64>,
+) -> (Isometry3<f64>, Matrix6<f64>) {
+    let (at, covariance) = mounted(estimate, body, observer_from_camera);
+    let Some(RivalPose { pose, lead }) = rival else { return (at, covariance) };
+    let both = |(camera_from_markers, covariance)| PoseEstimate { camera_from_markers, covariance };
+    let rival = RivalPose { pose: both(mounted(&pose, body, observer_from_camera)), lead };
+    (at, rival.covariance_beside(&both((at, covariance))))
 }
 
 fn nanoseconds(seconds: f64) -> i64 {
@@ -323,6 +340,35 @@ mod tests {
             Translation3::new(x, y, z),
             UnitQuaternion::from_euler_angles(roll, pitch, yaw),
         )
+    }
+
+    #[test]
+    fn an_ambiguous_track_has_both_poses_and_a_covariance_that_covers_both() {
+        let estimate_of = |x: f64, roll: f64| PoseEstimate {
+            camera_from_markers: transform(x, 0.0, 0.0, roll, 0.0, 0.0),
+            covariance: Matrix6::identity() * 1e-4,
+        };
+        let lead = 9f64.ln();
+        let measurement = crate::fixtures::measurement(&estimate_of(1.0, 0.0).camera_from_markers);
+        let estimate = TargetEstimate {
+            pose: estimate_of(1.0, 0.0),
+            rival: Some(RivalPose { pose: estimate_of(1.2, 1.0), lead }),
+            state: Some(filter::TrackState::Confirmed),
+            measured: None,
+            ..TargetEstimate::of_frame(&measurement)
+        };
+        let written = track(0, &estimate, &alpha(), &Isometry3::identity());
+        assert_eq!((written.is_ambiguous, written.rival_lead), (1, lead));
+        assert_eq!((written.state, written.measured_by), (TrackState::Coasting.code(), 0));
+        assert!((written.rival_observer_from_target.position[0] - 1.2).abs() < 1e-12);
+        // A tenth of the squared gaps.
+        assert!((written.covariance[0] - (1e-4 + 0.1 * 0.04)).abs() < 1e-9);
+        assert!((written.covariance[21] - (1e-4 + 0.1 * 1.0)).abs() < 1e-9);
+        assert!((written.covariance[28] - 1e-4).abs() < 1e-9);
+        let tentative =
+            TargetEstimate { state: Some(filter::TrackState::Tentative), ..estimate.clone() };
+        let written = track(0, &tentative, &alpha(), &Isometry3::identity());
+        assert_eq!(written.is_ambiguous, 0, "tentative tracks may be false altogether");
     }
 
     /// The covariance's Jacobian against differences of the transform itself.

@@ -4,8 +4,8 @@ use flockeye_contract::{FrameOrder, MeasuredBy};
 use flockeye_geometry::body::Body;
 use flockeye_geometry::ego_rotation::EgoRotation;
 use flockeye_geometry::filter::{
-    FilterError, FrameMeasurement, Happened, LifeCycle, MotionEstimate, SavedLife, TrackPolicy,
-    TrackState,
+    FilterError, FrameMeasurement, Happened, LifeCycle, MotionEstimate, RivalPose, SavedLife,
+    TrackPolicy, TrackState,
 };
 use flockeye_geometry::pose::PoseEstimate;
 use nalgebra::Vector3;
@@ -28,6 +28,8 @@ pub(crate) struct TargetEstimate {
     pub(crate) measured: Option<(PoseEstimate, MeasuredBy)>,
     /// Markers decoded in this frame.
     pub(crate) markers: u32,
+    /// Another pose that the target may have instead, if the track is ambiguous.
+    pub(crate) rival: Option<RivalPose>,
     /// State of the track. `None` without a filter: the frame's measurement is the result.
     pub state: Option<TrackState>,
     /// Time since the track began, seconds.
@@ -51,6 +53,7 @@ impl TargetEstimate {
             rate: Vector3::zeros(),
             measured: Some((pose, measurement.measured_by)),
             markers: measurement.markers,
+            rival: None,
             state: None,
             age_s: 0.0,
             unseen_s: 0.0,
@@ -167,16 +170,19 @@ impl Target {
     /// The track's prediction for a frame before the frame measures it.
     pub(crate) fn prior(&self, at_s: f64, ego: &EgoRotation) -> TrackPrior {
         let Some(prediction) = self.life.predict(at_s, ego) else { return TrackPrior::Untracked };
-        let camera_from_markers = prediction.camera_from_markers;
+        let predicted = prediction.pose();
+        let rival = self.predict_rival(at_s, ego).map(|rival| rival.pose.camera_from_markers);
         match self.life.state() {
-            Some(TrackState::Confirmed | TrackState::Coasting) => {
-                let covariance = prediction.pose_covariance();
-                TrackPrior::Confirmed(PoseEstimate { camera_from_markers, covariance })
+            Some(TrackState::Confirmed | TrackState::Coasting) if rival.is_none() => {
+                TrackPrior::Confirmed(predicted)
             }
-            Some(TrackState::Tentative | TrackState::Lost) | None => {
-                TrackPrior::Tentative(camera_from_markers)
-            }
+            _ => TrackPrior::Tentative { predicted, rival },
         }
+    }
+
+    /// Another pose that an ambiguous target may have instead at a time.
+    pub(crate) fn predict_rival(&self, at_s: f64, ego: &EgoRotation) -> Option<RivalPose> {
+        self.life.predict_rival(at_s, ego)
     }
 
     /// Whether the track accepts a measurement: it passes the gate, or replaces a stale track.
@@ -207,7 +213,7 @@ impl Target {
             return None;
         }
         let pose = &measurement.pose;
-        let measured = measurement.is_precise.then_some((*pose, measurement.measured_by));
+        let measured = measurement.is_usable_alone().then_some((*pose, measurement.measured_by));
         match self.life.measured(at_s, &in_life(measurement), ego) {
             Ok(Happened::Started | Happened::Restarted) => {
                 self.track_id += 1;
@@ -250,15 +256,14 @@ impl Target {
         let track = self.life.track()?;
         // After a clock jump back there is no prediction, so the track's own time is used.
         let prediction = self.life.predict(at_s, ego).unwrap_or_else(|| track.clone());
+        let rival = self.predict_rival(at_s, ego);
         Some(TargetEstimate {
-            pose: PoseEstimate {
-                camera_from_markers: prediction.camera_from_markers,
-                covariance: prediction.pose_covariance(),
-            },
+            pose: prediction.pose(),
             velocity: prediction.velocity,
             rate: prediction.rate,
-            measured,
+            measured: measured.filter(|_| rival.is_none()),
             markers,
+            rival,
             state: self.life.state(),
             age_s: (at_s - self.life.started_s()?).max(0.0),
             unseen_s: (at_s - last_seen_s).max(0.0),
@@ -269,7 +274,8 @@ impl Target {
 
 /// A measurement as the track's life takes it.
 fn in_life(measurement: &PoseMeasurement) -> FrameMeasurement {
-    FrameMeasurement { pose: measurement.pose, is_proven: measurement.is_proven }
+    let PoseMeasurement { pose, rival, is_proven, .. } = *measurement;
+    FrameMeasurement { pose, rival, is_proven }
 }
 
 #[cfg(test)]

@@ -9,19 +9,31 @@ use nalgebra::Isometry3;
 pub enum TrackPrior {
     /// There is no track.
     Untracked,
-    /// A track that is not confirmed yet: a start pose (`camera_from_markers`), but no prior.
-    Tentative(Isometry3<f64>),
+    /// A track that is not confirmed yet, or that is ambiguous: starts, but no prior.
+    Tentative {
+        /// The likeliest pose.
+        predicted: PoseEstimate,
+        /// The rival (`camera_from_markers`) of an ambiguous track.
+        rival: Option<Isometry3<f64>>,
+    },
     /// A confirmed track.
     Confirmed(PoseEstimate),
 }
 
 impl TrackPrior {
-    /// The predicted `camera_from_markers`, confirmed or not.
-    pub(crate) fn predicted(&self) -> Option<&Isometry3<f64>> {
+    /// The prediction, confirmed or not.
+    pub(crate) fn predicted(&self) -> Option<&PoseEstimate> {
         match self {
             Self::Untracked => None,
-            Self::Tentative(pose) => Some(pose),
-            Self::Confirmed(prior) => Some(&prior.camera_from_markers),
+            Self::Tentative { predicted, .. } | Self::Confirmed(predicted) => Some(predicted),
+        }
+    }
+
+    /// The predicted `camera_from_markers` of an ambiguous track's rival.
+    pub(crate) fn rival(&self) -> Option<&Isometry3<f64>> {
+        match self {
+            Self::Tentative { rival, .. } => rival.as_ref(),
+            Self::Untracked | Self::Confirmed(_) => None,
         }
     }
 
@@ -29,7 +41,7 @@ impl TrackPrior {
     pub(crate) fn confirmed(&self) -> Option<&PoseEstimate> {
         match self {
             Self::Confirmed(prior) => Some(prior),
-            Self::Untracked | Self::Tentative(_) => None,
+            Self::Untracked | Self::Tentative { .. } => None,
         }
     }
 }

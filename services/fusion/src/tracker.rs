@@ -194,10 +194,9 @@ impl Tracker {
     ) -> (Option<Update>, Outcome) {
         let estimate = match self.filter {
             Some(_) => self.targets[target].update(time.at_s, &measurement, &self.camera.ego),
-            None => measurement.is_precise.then(|| TargetEstimate::of_frame(&measurement)),
+            None => measurement.is_usable_alone().then(|| TargetEstimate::of_frame(&measurement)),
         };
-        let is_measured = estimate.as_ref().map(|estimate| estimate.measured.is_some());
-        let outcome = Outcome::of(measurement, is_measured);
+        let outcome = Outcome::of(measurement, estimate.as_ref());
         let Some(estimate) = estimate else { return (None, outcome) };
         if let Some(part) = part {
             part.status = Status::Published { direct_pose: None };

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use flockeye_contract::wire::{
-    ClockOffset, Degenerate, FRAME_SCHEMA, FrameReport, Measurement, Predicted, TargetReport,
+    ClockOffset, Degenerate, FRAME_SCHEMA, FrameReport, Measurement, Predicted, Rival, TargetReport,
 };
 use flockeye_contract::{FrameStamp, MeasuredBy, Pose, Track, TrackState};
 use flockeye_convert::{matrix6, upper_triangle};
@@ -102,6 +102,12 @@ fn target_report(track: &Track, stamp: &FrameStamp) -> Option<TargetReport> {
         orientation: track.measured_observer_from_target.orientation,
         covariance: upper_triangle(&track.measured_covariance),
     });
+    let rival = (track.is_ambiguous != 0).then(|| Rival {
+        position: track.rival_observer_from_target.position,
+        orientation: track.rival_observer_from_target.orientation,
+        covariance: upper_triangle(&track.rival_covariance),
+        lead: track.rival_lead,
+    });
     // A lossless run is not in real time, so it has no predictions.
     let after_ns = track.predicted_ns.saturating_sub(stamp.exposure_ns);
     let predicted = (after_ns > 0).then(|| Predicted {
@@ -122,6 +128,7 @@ fn target_report(track: &Track, stamp: &FrameStamp) -> Option<TargetReport> {
         linear_velocity: track.linear_velocity,
         angular_velocity: track.angular_velocity,
         measured,
+        rival,
         predicted,
         degenerate: degenerate(track),
     })
@@ -284,5 +291,24 @@ pub(crate) mod tests {
         assert_eq!(position.map(|d| d.map(f64::abs)), Some([0.0, 1.0, 0.0]));
         assert_eq!(rotation.map(|d| d.map(f64::abs)), Some([0.0, 0.0, 1.0]));
         assert!(said.measured.is_none() && said.predicted.is_none());
+    }
+
+    #[test]
+    fn an_ambiguous_track_has_both_poses_in_the_report() {
+        let mirror = Pose { orientation: [0.6, 0.0, 0.0, 0.8], ..Pose::default() };
+        let ambiguous = Track {
+            measured_by: MeasuredBy::Nothing.code(),
+            rival_observer_from_target: mirror,
+            rival_covariance: [0.01; 36],
+            rival_lead: 1.5,
+            is_ambiguous: 1,
+            ..track(TrackState::Coasting)
+        };
+        let said = target_report(&ambiguous, &stamp(1)).unwrap();
+        let rival = said.rival.expect("it is possible");
+        assert_eq!((rival.orientation, rival.lead), (mirror.orientation, 1.5));
+        assert_eq!(said.orientation, Pose::default().orientation);
+        let decided = Track { is_ambiguous: 0, ..ambiguous };
+        assert!(target_report(&decided, &stamp(1)).unwrap().rival.is_none());
     }
 }

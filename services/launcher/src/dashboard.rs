@@ -166,11 +166,6 @@ fn deviation_m(track: &Track) -> f64 {
     (track.covariance[0] + track.covariance[7] + track.covariance[14]).max(0.0).sqrt()
 }
 
-/// The name of a track's state.
-fn track_state_name(code: u32) -> &'static str {
-    TrackState::try_from(code).map_or("unknown", TrackState::name)
-}
-
 /// Age of the exposure that a pose was last measured in, milliseconds.
 fn age_ms(track: &Track, arrived_ns: i64, now_ns: i64) -> f64 {
     (now_ns - arrived_ns + track.latency.total_ns + track.unseen_ns) as f64 * 1e-6

@@ -4,7 +4,8 @@ import { apply, compose, cross, dot, inversePose, sub, unit, add, scale } from "
 
 const COLOURS = ["#6cc6ff", "#ffb86b", "#8ce99a", "#f783ac", "#b197fc", "#ffe066", "#63e6be", "#ff8787"];
 export const STATES = {
-  tentative: "#5d6b7e", confirmed: "#5fd38d", measured: "#5fd38d", coasting: "#f2b45a", lost: "#f2716b" };
+  tentative: "#5d6b7e", confirmed: "#5fd38d", measured: "#5fd38d", coasting: "#f2b45a", ambiguous: "#f2b45a",
+  lost: "#f2716b" };
 
 // Whether a neighbour was measured in this frame, and is no guess.
 export const isSure = ({ state }) => state === "confirmed" || state === "measured";

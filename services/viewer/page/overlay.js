@@ -80,9 +80,11 @@ export class Overlay {
   track(track, bodies) {
     if (!bodies.get(track.target) || track.state === "lost") return;
     const sure = isSure(track);
-    const alpha = sure ? 1 : track.state === "coasting" ? 0.8 : 0.5;
+    const alpha = sure ? 1 : ["coasting", "ambiguous"].includes(track.state) ? 0.8 : 0.5;
     const dash = sure ? [] : [5, 4];
-    this.body(bodies, track.pose, track.target, colour(track.target), { alpha, dash });
+    for (const pose of [track.pose, track.rival]) {
+      if (pose) this.body(bodies, pose, track.target, colour(track.target), { alpha, dash });
+    }
     const camera = bodies.cameraFromMarkers(track.pose, track.target);
     if (!sure) this.cloud(track, bodies, 0.7);
     const range = norm(track.pose.p);

@@ -121,7 +121,7 @@ class Card {
     set(this.name, track.name);
     set(this.state, track.state === "coasting" || track.state === "lost"
       ? `${track.state} for ${track.unseen_s.toFixed(1)} s` : track.state);
-    this.state.className = `state ${{ confirmed: "good", measured: "good", coasting: "warn", lost: "bad" }[track.state] ?? ""}`;
+    this.state.className = `state ${{ confirmed: "good", measured: "good", coasting: "warn", ambiguous: "warn", lost: "bad" }[track.state] ?? ""}`;
     set(this.range, `${norm(track.pose.p).toFixed(2)} m`);
     const [xx, , , yy, , zz] = track.covariance;
     this.fact("sigma", `±${millimetres(Math.sqrt(Math.max(xx + yy + zz, 0)))}`, `mm, ${track.attitude_deg.toFixed(1)}°`);

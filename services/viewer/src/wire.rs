@@ -214,13 +214,16 @@ pub(crate) struct TrackSummary {
     pub name: String,
     /// Number of the track.
     pub track: u32,
-    /// `tentative`, `confirmed`, `coasting`, `lost` or `measured`.
+    /// `tentative`, `confirmed`, `coasting`, `ambiguous`, `lost` or `measured`.
     pub state: &'static str,
     /// `nothing`, `decoded` or `aligned`.
     pub by: &'static str,
     pub markers: u32,
     /// `observer_from_target`.
     pub pose: PagePose,
+    /// The other possible pose of an ambiguous track.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub rival: Option<PagePose>,
     /// Covariance of the position in the observer's frame, m^2: xx, xy, xz, yy, yz, zz.
     pub covariance: [f32; 6],
     /// Standard deviation of the attitude, over all three axes together, degrees.

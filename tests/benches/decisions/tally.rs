@@ -1,10 +1,10 @@
 //! Shares of right and of wrong poses that each decision accepts.
 
-use flockeye_fusion::turn_log;
-use flockeye_geometry::pose::is_false;
+use flockeye_fusion::{StartSource, of_tracked, turn_log};
+use flockeye_geometry::pose::{PoseEstimate, is_false, least_lead};
 use flockeye_geometry::statistics::quantile;
-use flockeye_imaging::align::{Alignment, least_lead};
-use nalgebra::Isometry3;
+use flockeye_imaging::align::Alignment;
+use nalgebra::{Isometry3, Matrix6};
 
 use crate::STOPS;
 
@@ -36,8 +36,10 @@ pub struct Hypothesis {
     /// Start of the alignment.
     pub start: Isometry3<f64>,
     pub found: Alignment,
-    /// Log odds minus those of the mirror pose.
-    pub lead: f64,
+    /// The mirror pose of what was found, if it differs.
+    pub rival: Option<Alignment>,
+    /// The prediction of a track that has coasted for half a second.
+    pub coasted: PoseEstimate,
 }
 
 impl Hypothesis {
@@ -53,15 +55,38 @@ impl Hypothesis {
         self.found.evidence.log_odds
     }
 
+    /// Log odds minus those of the mirror pose.
+    fn lead(&self) -> f64 {
+        let rival = self.rival.as_ref();
+        rival.map_or(f64::INFINITY, |rival| self.log_odds() - rival.evidence.log_odds)
+    }
+
     /// Whether the decision accepts it for a body without a track.
     fn is_accepted(&self) -> bool {
-        self.found.is_accepted() && self.found.is_precise && self.lead > least_lead()
+        self.found.is_accepted() && self.found.is_precise && self.lead() > least_lead()
     }
 
     /// Whether the decision accepts it for a body whose track predicts the right pose.
     fn is_confirmed(&self) -> bool {
-        let turn_log = self.truth.map_or(0.0, |truth| turn_log(&self.found, &truth));
+        let known =
+            |truth| PoseEstimate { camera_from_markers: truth, covariance: Matrix6::zeros() };
+        let found = &self.found.camera_from_markers;
+        let turn_log = self.truth.map_or(0.0, |truth| turn_log(found, &known(truth)));
         self.found.is_precise && self.found.is_accepted_with_track_prior(turn_log)
+    }
+
+    /// Whether the decision accepts it as a measurement for a body whose track has coasted.
+    fn is_confirmed_after_coasting(&self) -> bool {
+        let tried: Vec<flockeye_fusion::Hypothesis> = [Some(&self.found), self.rival.as_ref()]
+            .into_iter()
+            .flatten()
+            .map(|found| flockeye_fusion::Hypothesis {
+                turn_log: Some(turn_log(&found.camera_from_markers, &self.coasted)),
+                ..flockeye_fusion::Hypothesis::of(StartSource::Prediction, Ok(found.clone()))
+            })
+            .collect();
+        let decision = of_tracked(&tried);
+        decision.hypothesis() == Some(0) && decision.lead.is_none() && self.found.is_precise
     }
 }
 
@@ -115,12 +140,13 @@ impl Tally {
         };
         row("without a track", &Hypothesis::is_accepted);
         row("as its track predicts", &Hypothesis::is_confirmed);
+        row("half a second coasted", &Hypothesis::is_confirmed_after_coasting);
         for least in 0..=8 {
             row(&format!("log odds above {least}"), &|h| h.log_odds() > f64::from(least));
         }
         for least in [2.0, 4.0, 6.0] {
             row(&format!("{least} and {least} before its mirror"), &|h| {
-                h.log_odds() > least && h.lead > least
+                h.log_odds() > least && h.lead() > least
             });
         }
     }

@@ -248,6 +248,7 @@ fn target(number: usize) -> TargetReport {
             orientation,
             deviations: [0.001_23, 0.001_23, 0.001_23, 0.0123, 0.0123, 0.0123],
         }),
+        rival: None,
         degenerate: None,
     }
 }

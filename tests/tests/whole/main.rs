@@ -1,6 +1,7 @@
 //! The whole pipeline: real processes, real shared memory, real sessions. One binary, because each
 //! would be linked with all of it.
 
+mod ambiguous;
 mod bad_input;
 mod c_client;
 mod calibration;

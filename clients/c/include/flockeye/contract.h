@@ -9,7 +9,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#define FLOCKEYE_CONTRACT_VERSION "7"
+#define FLOCKEYE_CONTRACT_VERSION "8"
 #define FLOCKEYE_VERSION_ATTRIBUTE "flockeye.contract"
 /* Of an index that points nowhere. */
 #define FLOCKEYE_NONE 4294967295u
@@ -487,6 +487,9 @@ typedef struct {
     double measured_covariance[36];
     flockeye_pose predicted_observer_from_target;
     double predicted_covariance[36];
+    flockeye_pose rival_observer_from_target;
+    double rival_covariance[36];
+    double rival_lead;
     int64_t predicted_ns;
     int64_t age_ns;
     int64_t unseen_ns;
@@ -497,9 +500,9 @@ typedef struct {
     uint32_t state;
     uint32_t measured_by;
     uint32_t markers;
-    uint32_t reserved;
+    uint32_t is_ambiguous;
 } flockeye_track;
-static_assert(sizeof(flockeye_track) == 1200, "Track");
+static_assert(sizeof(flockeye_track) == 1552, "Track");
 static_assert(offsetof(flockeye_track, observer_from_target) == 0, "Track.observer_from_target");
 static_assert(offsetof(flockeye_track, covariance) == 56, "Track.covariance");
 static_assert(offsetof(flockeye_track, linear_velocity) == 344, "Track.linear_velocity");
@@ -508,17 +511,20 @@ static_assert(offsetof(flockeye_track, measured_observer_from_target) == 392, "T
 static_assert(offsetof(flockeye_track, measured_covariance) == 448, "Track.measured_covariance");
 static_assert(offsetof(flockeye_track, predicted_observer_from_target) == 736, "Track.predicted_observer_from_target");
 static_assert(offsetof(flockeye_track, predicted_covariance) == 792, "Track.predicted_covariance");
-static_assert(offsetof(flockeye_track, predicted_ns) == 1080, "Track.predicted_ns");
-static_assert(offsetof(flockeye_track, age_ns) == 1088, "Track.age_ns");
-static_assert(offsetof(flockeye_track, unseen_ns) == 1096, "Track.unseen_ns");
-static_assert(offsetof(flockeye_track, latency) == 1104, "Track.latency");
-static_assert(offsetof(flockeye_track, name) == 1144, "Track.name");
-static_assert(offsetof(flockeye_track, target) == 1176, "Track.target");
-static_assert(offsetof(flockeye_track, track_id) == 1180, "Track.track_id");
-static_assert(offsetof(flockeye_track, state) == 1184, "Track.state");
-static_assert(offsetof(flockeye_track, measured_by) == 1188, "Track.measured_by");
-static_assert(offsetof(flockeye_track, markers) == 1192, "Track.markers");
-static_assert(offsetof(flockeye_track, reserved) == 1196, "Track.reserved");
+static_assert(offsetof(flockeye_track, rival_observer_from_target) == 1080, "Track.rival_observer_from_target");
+static_assert(offsetof(flockeye_track, rival_covariance) == 1136, "Track.rival_covariance");
+static_assert(offsetof(flockeye_track, rival_lead) == 1424, "Track.rival_lead");
+static_assert(offsetof(flockeye_track, predicted_ns) == 1432, "Track.predicted_ns");
+static_assert(offsetof(flockeye_track, age_ns) == 1440, "Track.age_ns");
+static_assert(offsetof(flockeye_track, unseen_ns) == 1448, "Track.unseen_ns");
+static_assert(offsetof(flockeye_track, latency) == 1456, "Track.latency");
+static_assert(offsetof(flockeye_track, name) == 1496, "Track.name");
+static_assert(offsetof(flockeye_track, target) == 1528, "Track.target");
+static_assert(offsetof(flockeye_track, track_id) == 1532, "Track.track_id");
+static_assert(offsetof(flockeye_track, state) == 1536, "Track.state");
+static_assert(offsetof(flockeye_track, measured_by) == 1540, "Track.measured_by");
+static_assert(offsetof(flockeye_track, markers) == 1544, "Track.markers");
+static_assert(offsetof(flockeye_track, is_ambiguous) == 1548, "Track.is_ambiguous");
 
 /* In iceoryx2: flockeye/JournalHeader. */
 typedef struct {

@@ -98,7 +98,7 @@ pub struct TargetReport {
     /// Filtered orientation, observer from target, quaternion x y z w.
     pub orientation: [f64; 4],
     /// Covariance of position and rotation vector in the observer's frame: the upper triangle of the 6x6
-    /// matrix, row by row.
+    /// matrix, row by row. Where there is a rival, it covers both poses.
     pub covariance: [f64; 21],
     /// Velocity relative to the observer, along its axes, m/s; its own rotation is taken out where it is
     /// known.
@@ -108,6 +108,10 @@ pub struct TargetReport {
     /// This frame's own measurement, which no earlier frame is part of; where there is one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub measured: Option<Measurement>,
+    /// Another pose that the target may have instead of the filtered one: the track is ambiguous. Nothing
+    /// is measured then.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub rival: Option<Rival>,
     /// The filtered pose, predicted to about when this was sent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub predicted: Option<Predicted>,
@@ -128,6 +132,20 @@ pub struct Measurement {
     pub orientation: [f64; 4],
     /// As [`TargetReport::covariance`].
     pub covariance: [f64; 21],
+}
+
+/// A pose that is possible beside the filtered one, for example the mirror pose of a flat marker. If one of
+/// the two is true, the other is false.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct Rival {
+    /// As [`TargetReport::position`].
+    pub position: [f64; 3],
+    /// As [`TargetReport::orientation`].
+    pub orientation: [f64; 4],
+    /// Of this pose alone, as [`TargetReport::covariance`].
+    pub covariance: [f64; 21],
+    /// Log odds of the filtered pose against this one, at least 0. Its probability is 1 / (1 + e^lead).
+    pub lead: f64,
 }
 
 /// A pose foreseen.
@@ -307,6 +325,11 @@ impl TargetReport {
             measured.position.iter_mut().chain(&mut measured.orientation).for_each(millionths);
             measured.covariance.iter_mut().for_each(three_digits);
         }
+        if let Some(rival) = &mut self.rival {
+            rival.position.iter_mut().chain(&mut rival.orientation).for_each(millionths);
+            rival.covariance.iter_mut().for_each(three_digits);
+            three_digits(&mut rival.lead);
+        }
         if let Some(predicted) = &mut self.predicted {
             predicted.position.iter_mut().chain(&mut predicted.orientation).for_each(millionths);
             predicted.deviations.iter_mut().for_each(three_digits);
@@ -330,6 +353,12 @@ impl TargetReport {
             check_finite("measured position", &measured.position)?;
             check_rotation("measured orientation", &measured.orientation)?;
             check_covariance("measured covariance", &measured.covariance)?;
+        }
+        if let Some(rival) = &self.rival {
+            check_finite("rival's position", &rival.position)?;
+            check_rotation("rival's orientation", &rival.orientation)?;
+            check_covariance("rival's covariance", &rival.covariance)?;
+            check_finite("rival's lead", &[rival.lead])?;
         }
         if let Some(predicted) = &self.predicted {
             check_finite("predicted position", &predicted.position)?;

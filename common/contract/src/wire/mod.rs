@@ -12,7 +12,7 @@ mod tests;
 
 pub use frame_report::{
     ClockOffset, Degenerate, FRAME_SCHEMA, FrameReport, MAX_FRAME_REPORT_BYTES, MAX_TARGET_BYTES,
-    Measurement, Odometry, Predicted, Sighting, TargetReport,
+    Measurement, Odometry, Predicted, Rival, Sighting, TargetReport,
 };
 pub use keys::{
     MAX_NAME_CHARS, alive_key, all_alive_key, all_frames_key, all_keys, frame_key, is_name,

@@ -26,6 +26,7 @@ fn longest_target(name: &str) -> TargetReport {
         linear_velocity: [-1.234_567_890_123e-5; 3],
         angular_velocity: [-1.234_567_890_123e-5; 3],
         measured: Some(Measurement { position, orientation, covariance: covariance() }),
+        rival: None,
         predicted: Some(Predicted {
             after_s: 0.123_456_789,
             position,
@@ -37,6 +38,14 @@ fn longest_target(name: &str) -> TargetReport {
             rotation: Some([-0.577_35; 3]),
         }),
     }
+}
+
+/// As [`longest_target`], of an ambiguous track.
+fn ambiguous_target(name: &str) -> TargetReport {
+    let target = longest_target(name);
+    let Measurement { position, orientation, covariance } = target.measured.clone().unwrap();
+    let rival = Some(Rival { position, orientation, covariance, lead: 1.234_567 });
+    TargetReport { measured: None, measured_by: MeasuredBy::Nothing, rival, ..target }
 }
 
 fn frame(targets: Vec<TargetReport>) -> FrameReport {
@@ -58,7 +67,11 @@ fn frame(targets: Vec<TargetReport>) -> FrameReport {
 #[test]
 fn the_longest_target_fits_a_packet_and_the_most_targets_a_report() {
     let name = |k: usize| format!("{k:02}{}", "t".repeat(MAX_NAME_CHARS - 2));
-    let mut report = frame((0..MAX_TARGETS).map(|k| longest_target(&name(k))).collect());
+    let target = |k: usize| match k % 2 {
+        0 => ambiguous_target(&name(k)),
+        _ => longest_target(&name(k)),
+    };
+    let mut report = frame((0..MAX_TARGETS).map(target).collect());
     let offset = ClockOffset { one_way_ms: -1e12, offset_ms: -1e12, deviation_ms: 1.234_567e-5 };
     report.clocks = (0..MAX_TARGETS).map(|k| (name(k), offset)).collect();
     report.odometry = Some(Odometry {
@@ -81,7 +94,8 @@ fn the_longest_target_fits_a_packet_and_the_most_targets_a_report() {
 /// Readers in other languages know these names.
 #[test]
 fn the_fields_of_a_report_have_their_names() {
-    let json = frame(vec![longest_target("kite")]).to_json().expect("fits");
+    let json = frame(vec![longest_target("kite"), ambiguous_target("kea")]).to_json();
+    let json = json.expect("fits");
     let value: serde_json::Value = serde_json::from_slice(&json).unwrap();
     let keys = |value: &serde_json::Value| {
         value.as_object().expect("an object").keys().cloned().collect::<Vec<_>>().join(" ")
@@ -95,6 +109,7 @@ fn the_fields_of_a_report_have_their_names() {
         "target state measured_by markers unseen_s position orientation covariance \
          linear_velocity angular_velocity measured predicted degenerate"
     );
+    assert_eq!(keys(&value["targets"][1]["rival"]), "position orientation covariance lead");
     assert_eq!(value["schema"], "flockeye.frame/2");
     let target = &value["targets"][0];
     assert_eq!(

@@ -1,15 +1,16 @@
-//! The life of a track: when it is confirmed, and when it is lost.
+//! The life of a track: what is believed of a neighbour after each frame of the last half second.
 
 use std::cmp::Ordering;
 use std::collections::VecDeque;
-use std::sync::LazyLock;
 
+use nalgebra::Matrix6;
 use serde::{Deserialize, Serialize};
 
 use crate::ego_rotation::EgoRotation;
-use crate::pose::PoseEstimate;
+use crate::pose::{PoseEstimate, pose_difference};
 
-use super::{FilterError, MotionEstimate, MotionModel, check, chi_square_gate};
+use super::belief::Belief;
+use super::{FilterError, MotionEstimate, MotionModel, check};
 
 /// State of a track in its life.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -24,30 +25,15 @@ pub enum TrackState {
     Lost,
 }
 
-/// Number of frames among which the confirming measurements are counted, at most 64.
-pub const CONFIRM_WINDOW: u32 = 5;
 /// Largest delay of a frame after newer ones with which it is still sorted in, seconds.
 pub const HISTORY_S: f64 = 0.5;
-/// Probability that a right measurement passes the gate.
-pub const GATE_PROBABILITY: f64 = 0.999;
-/// Number of measurements in a row outside the gate after which the track is wrong and starts anew
-/// from the last of them. A tentative track begins anew from the first.
-pub const RESTART_AFTER_GATED: u32 = 3;
-
-/// Number of frames in a row without an accepted measurement after which a track is stale: its
-/// target may be anywhere, and a measurement that the picture alone proves replaces it.
-pub const STALE_AFTER_FRAMES: u32 = 3;
-
-/// The largest squared distance of a measurement that passes the gate.
-static GATE: LazyLock<f64> = LazyLock::new(|| chi_square_gate(GATE_PROBABILITY));
-
 /// Conditions under which a track is confirmed and lost.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TrackPolicy {
     /// Motion model of the neighbour.
     pub motion: MotionModel,
     /// Number of accepted measurements that confirm a track, the first included, among
-    /// [`CONFIRM_WINDOW`] frames.
+    /// [`super::CONFIRM_WINDOW`] frames.
     pub confirm_hits: u32,
     /// Longest time without a measurement before a confirmed track is lost, seconds.
     pub coast_s: f64,
@@ -69,8 +55,8 @@ pub enum Happened {
     Updated,
     /// The measurement lay outside the gate. The target counts as not seen in this frame.
     Gated,
-    /// The measurement contradicted the track, or the clock jumped back: the track started anew
-    /// from it.
+    /// What contradicted the track is now likelier than the track, or the clock jumped back: a new
+    /// track replaces it.
     Restarted,
 }
 
@@ -84,7 +70,7 @@ pub enum Happened {
 pub struct LifeCycle {
     pub(super) policy: TrackPolicy,
     /// State before the first event of the history.
-    pub(super) base: Option<Life>,
+    pub(super) base: Option<Belief>,
     /// Events by time. After the first event, the newest is always kept.
     pub(super) events: VecDeque<HistoryEntry>,
 }
@@ -95,26 +81,39 @@ pub(super) struct HistoryEntry {
     pub(super) stamp_s: f64,
     /// `None` if the frame did not show the neighbour.
     pub(super) measured: Option<FrameMeasurement>,
-    pub(super) after: Option<Life>,
+    pub(super) after: Option<Belief>,
 }
 
 /// A frame's measured pose of a neighbour.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct FrameMeasurement {
-    /// The pose.
+    /// The likeliest pose.
     pub pose: PoseEstimate,
+    /// Another pose, which the frame does not exclude.
+    pub rival: Option<RivalPose>,
     /// Whether the picture alone proves the pose, so that it may replace a stale track.
     pub is_proven: bool,
 }
 
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub(super) struct Life {
-    pub(super) track: MotionEstimate,
-    state: TrackState,
-    /// One bit for each frame, the newest lowest: 1 for an accepted measurement.
-    hits: u64,
-    gated_in_a_row: u32,
-    pub(super) started_s: f64,
+/// A pose of a neighbour that may be the right one instead of a likelier one. Of the two, one is
+/// false if the other is true, for example mirror poses of a flat marker.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct RivalPose {
+    /// The pose.
+    pub pose: PoseEstimate,
+    /// Log odds of the likelier pose against this one, at least 0.
+    pub lead: f64,
+}
+
+impl RivalPose {
+    /// Covariance of a pose that has this rival: the expected square of its error, with either of
+    /// the two as the truth.
+    pub fn covariance_beside(&self, best: &PoseEstimate) -> Matrix6<f64> {
+        let rival = &self.pose;
+        let share = 1.0 / (1.0 + self.lead.exp());
+        let between = pose_difference(&rival.camera_from_markers, &best.camera_from_markers);
+        best.covariance * (1.0 - share) + (rival.covariance + between * between.transpose()) * share
+    }
 }
 
 impl LifeCycle {
@@ -125,27 +124,27 @@ impl LifeCycle {
 
     /// State of the track; `None` before the first measurement.
     pub fn state(&self) -> Option<TrackState> {
-        self.life().map(|life| life.state)
+        self.belief().map(Belief::state)
     }
 
     /// The filter, while the track is alive.
     pub fn track(&self) -> Option<&MotionEstimate> {
-        self.life().and_then(Life::alive)
+        self.belief().and_then(Belief::alive)
     }
 
     /// Whether the track had no accepted measurement in the last [`STALE_AFTER_FRAMES`] frames.
     pub fn is_stale(&self) -> bool {
-        self.life().is_some_and(Life::is_stale)
+        self.belief().is_some_and(Belief::is_stale)
     }
 
     /// Exposure time of the track's first measurement, seconds.
     pub fn started_s(&self) -> Option<f64> {
-        self.life().map(|life| life.started_s)
+        self.belief().map(Belief::started_s)
     }
 
     /// Exposure time of the last accepted measurement, seconds; also of a lost track.
     pub fn last_seen_s(&self) -> Option<f64> {
-        self.life().map(|life| life.track.stamp_s)
+        self.belief().map(Belief::last_seen_s)
     }
 
     /// Predicts the neighbour at `at_s`. For a time within the history, returns its state then,
@@ -156,8 +155,13 @@ impl LifeCycle {
         if at_s >= track.stamp_s {
             return track.predict(at_s, &self.policy.motion, ego).ok();
         }
-        let until_then = self.events.partition_point(|event| event.stamp_s <= at_s);
-        self.life_before(until_then)?.alive()?.predict(at_s, &self.policy.motion, ego).ok()
+        self.belief_at(at_s)?.alive()?.predict(at_s, &self.policy.motion, ego).ok()
+    }
+
+    /// Predicts the rival of [`Self::predict`] for a time, if the track is ambiguous then: the
+    /// likelier pose does not lead by [`least_lead`](crate::pose::least_lead).
+    pub fn predict_rival(&self, at_s: f64, ego: &EgoRotation) -> Option<RivalPose> {
+        self.belief_at(at_s)?.predict_rival(at_s, &self.policy.motion, ego)
     }
 
     /// Handles a frame exposed at `stamp_s` with a measured pose of the neighbour. It replaces an
@@ -186,7 +190,7 @@ impl LifeCycle {
             self.forget();
         }
         let (place, mut event) = self.placed(stamp_s, Some(*measured));
-        let happened = Life::measured(&mut event.after, stamp_s, measured, &self.policy, ego)?;
+        let happened = Belief::measured(&mut event.after, stamp_s, measured, &self.policy, ego)?;
         self.insert(place, event, ego);
         Ok(if jumped { Happened::Restarted } else { happened })
     }
@@ -198,7 +202,7 @@ impl LifeCycle {
             return false;
         }
         let (_, HistoryEntry { mut after, .. }) = self.placed(stamp_s, Some(*measured));
-        match Life::measured(&mut after, stamp_s, measured, &self.policy, ego) {
+        match Belief::measured(&mut after, stamp_s, measured, &self.policy, ego) {
             Ok(Happened::Updated) => true,
             Ok(Happened::Restarted) => measured.is_proven,
             Ok(Happened::Started | Happened::Gated) | Err(_) => false,
@@ -212,12 +216,10 @@ impl LifeCycle {
         if let Some(newest_s) = self.too_late(stamp_s) {
             if self.is_jump(newest_s - stamp_s) {
                 // After a clock jump back, the track is meaningless.
-                let mut life = self.life().cloned();
-                if let Some(life) = &mut life {
-                    life.state = TrackState::Lost;
-                }
+                let mut belief = self.belief().cloned();
+                belief.iter_mut().for_each(Belief::lose);
                 self.events.clear();
-                self.base = life;
+                self.base = belief;
             }
         } else if stamp_s.is_finite() && !self.events.iter().any(|event| event.stamp_s == stamp_s) {
             let (place, mut event) = self.placed(stamp_s, None);
@@ -236,7 +238,7 @@ impl LifeCycle {
 
     pub(super) fn refilter_from(&mut self, first: usize, ego: &EgoRotation) {
         for later in first..self.events.len() {
-            let before = self.life_before(later).cloned();
+            let before = self.belief_before(later).cloned();
             if let Some(event) = self.events.get_mut(later) {
                 event.after = before;
                 event.step(&self.policy, ego);
@@ -250,11 +252,16 @@ impl LifeCycle {
         self.events.clear();
     }
 
-    fn life(&self) -> Option<&Life> {
-        self.life_before(self.events.len())
+    /// What is believed from the frames up to a time.
+    fn belief_at(&self, at_s: f64) -> Option<&Belief> {
+        self.belief_before(self.events.partition_point(|event| event.stamp_s <= at_s))
     }
 
-    fn life_before(&self, index: usize) -> Option<&Life> {
+    fn belief(&self) -> Option<&Belief> {
+        self.belief_before(self.events.len())
+    }
+
+    fn belief_before(&self, index: usize) -> Option<&Belief> {
         match index.checked_sub(1).and_then(|before| self.events.get(before)) {
             Some(event) => event.after.as_ref(),
             None => self.base.as_ref(),
@@ -276,7 +283,7 @@ impl LifeCycle {
     fn placed(&self, stamp_s: f64, measured: Option<FrameMeasurement>) -> (usize, HistoryEntry) {
         let mut event = HistoryEntry { stamp_s, measured, after: None };
         let place = self.events.partition_point(|other| other.is_before(&event));
-        event.after = self.life_before(place).cloned();
+        event.after = self.belief_before(place).cloned();
         (place, event)
     }
 
@@ -312,9 +319,9 @@ impl HistoryEntry {
     /// Advances the state in `after`. A refused measurement leaves it unchanged.
     fn step(&mut self, policy: &TrackPolicy, ego: &EgoRotation) {
         if let Some(measured) = &self.measured {
-            let _ = Life::measured(&mut self.after, self.stamp_s, measured, policy, ego);
-        } else if let Some(life) = &mut self.after {
-            life.unseen(self.stamp_s, policy);
+            let _ = Belief::measured(&mut self.after, self.stamp_s, measured, policy, ego);
+        } else if let Some(belief) = &mut self.after {
+            belief.unseen(self.stamp_s, policy);
         }
     }
 }
@@ -327,87 +334,4 @@ fn order(one: &PoseEstimate, other: &PoseEstimate) -> Ordering {
         at.iter().chain(turn.iter()).chain(measured.covariance.iter()).copied().collect()
     };
     numbers(one).partial_cmp(&numbers(other)).unwrap_or(Ordering::Equal)
-}
-
-impl Life {
-    fn begin(track: MotionEstimate, policy: &TrackPolicy) -> Self {
-        let started_s = track.stamp_s;
-        let state = TrackState::Tentative;
-        let mut life = Self { track, state, hits: 0, gated_in_a_row: 0, started_s };
-        life.count(true, policy);
-        life
-    }
-
-    /// The filter of a life that is not lost.
-    fn alive(&self) -> Option<&MotionEstimate> {
-        (self.state != TrackState::Lost).then_some(&self.track)
-    }
-
-    fn is_stale(&self) -> bool {
-        self.hits.trailing_zeros() >= STALE_AFTER_FRAMES
-    }
-
-    /// Handles a measurement at `stamp_s`.
-    fn measured(
-        life: &mut Option<Self>,
-        stamp_s: f64,
-        FrameMeasurement { pose: measured, is_proven }: &FrameMeasurement,
-        policy: &TrackPolicy,
-        ego: &EgoRotation,
-    ) -> Result<Happened, FilterError> {
-        let fresh = MotionEstimate::start(stamp_s, measured, &policy.motion)?;
-        let follows = |life: &Self| stamp_s - life.track.stamp_s <= policy.coast_s;
-        let Some(old) = life.as_mut().filter(|life| life.alive().is_some() && follows(life)) else {
-            *life = Some(Self::begin(fresh, policy));
-            return Ok(Happened::Started);
-        };
-        match old.track.update(stamp_s, measured, *GATE, &policy.motion, ego) {
-            Ok(_) => {
-                old.gated_in_a_row = 0;
-                old.count(true, policy);
-                Ok(Happened::Updated)
-            }
-            Err(FilterError::Gated { .. }) => {
-                old.gated_in_a_row += 1;
-                if old.state == TrackState::Tentative
-                    || old.gated_in_a_row >= RESTART_AFTER_GATED
-                    || (*is_proven && old.is_stale())
-                {
-                    *old = Self::begin(fresh, policy);
-                    return Ok(Happened::Restarted);
-                }
-                old.count(false, policy);
-                Ok(Happened::Gated)
-            }
-            Err(FilterError::Gap { .. }) => {
-                *old = Self::begin(fresh, policy);
-                Ok(Happened::Restarted)
-            }
-            Err(error @ (FilterError::Past { .. } | FilterError::Unusable { .. })) => Err(error),
-        }
-    }
-
-    /// Handles a frame without a measurement.
-    fn unseen(&mut self, stamp_s: f64, policy: &TrackPolicy) {
-        if stamp_s - self.track.stamp_s <= policy.coast_s {
-            self.count(false, policy);
-        } else {
-            self.state = TrackState::Lost;
-        }
-    }
-
-    /// Counts a frame and updates the state.
-    fn count(&mut self, hit: bool, policy: &TrackPolicy) {
-        self.hits = (self.hits << 1 | u64::from(hit)) & (u64::MAX >> (64 - CONFIRM_WINDOW));
-        let hits = self.hits.count_ones();
-        self.state = match self.state {
-            TrackState::Lost => TrackState::Lost,
-            TrackState::Tentative if hits == 0 => TrackState::Lost,
-            TrackState::Tentative if hits < policy.confirm_hits.min(CONFIRM_WINDOW) => {
-                TrackState::Tentative
-            }
-            _ if hit => TrackState::Confirmed,
-            _ => TrackState::Coasting,
-        };
-    }
 }

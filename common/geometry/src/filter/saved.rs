@@ -2,17 +2,17 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::life::{FrameMeasurement, HistoryEntry, Life, LifeCycle};
+use super::belief::Belief;
+use super::life::{FrameMeasurement, HistoryEntry, LifeCycle, RivalPose};
 use super::{FilterError, check};
 use crate::ego_rotation::EgoRotation;
-use crate::pose::PoseEstimate;
 
 /// A track with its history, from a process for its successor. The successor filters the history
 /// anew with its own policy.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct SavedLife {
     /// The state before the history.
-    base: Option<Life>,
+    base: Option<Belief>,
     /// Result of each frame of the history, with its time, seconds.
     said: Vec<(f64, Option<FrameMeasurement>)>,
 }
@@ -45,18 +45,16 @@ impl LifeCycle {
 
 impl SavedLife {
     fn check(&self) -> Result<(), FilterError> {
-        if let Some(Life { track, started_s, .. }) = &self.base {
-            let camera_from_markers = track.camera_from_markers;
-            let covariance = track.pose_covariance();
-            check(track.stamp_s, &PoseEstimate { camera_from_markers, covariance })?;
-            let mut rest = track.velocity.iter().chain(&track.rate).chain(&track.covariance);
-            if !started_s.is_finite() || !rest.all(|number| number.is_finite()) {
-                return Err(FilterError::Unusable { what: "saved track" });
-            }
-        }
+        self.base.as_ref().map_or(Ok(()), Belief::check)?;
         for (stamp_s, measured) in &self.said {
             match measured {
-                Some(measured) => check(*stamp_s, &measured.pose)?,
+                Some(FrameMeasurement { pose, rival, .. }) => {
+                    check(*stamp_s, pose)?;
+                    rival.map_or(Ok(()), |RivalPose { pose, lead }| match lead.is_nan() {
+                        true => Err(FilterError::Unusable { what: "lead" }),
+                        false => check(*stamp_s, &pose),
+                    })?;
+                }
                 None if stamp_s.is_finite() => {}
                 None => return Err(FilterError::Unusable { what: "time" }),
             }
@@ -75,6 +73,8 @@ mod tests {
 
     use super::*;
     use crate::filter::TrackPolicy;
+    use crate::filter::belief::Hypothesis;
+    use crate::pose::PoseEstimate;
 
     #[test]
     fn a_track_with_numbers_that_are_not_finite_is_refused() {
@@ -84,26 +84,26 @@ mod tests {
             camera_from_markers: Isometry3::translation(1.0, 0.0, 0.0),
             covariance: Matrix6::identity() * 1e-4,
         };
-        let measured = FrameMeasurement { pose, is_proven: false };
+        let measured = FrameMeasurement { pose, rival: None, is_proven: false };
         for k in 0..30 {
             known.measured(f64::from(k) / 30.0, &measured, &ego).unwrap();
         }
-        type Spoil = fn(&mut SavedLife, &mut Life);
+        type Spoil = fn(&mut SavedLife, &mut Hypothesis);
         let spoil: [(&str, Spoil); 7] = [
-            ("time", |_, life| life.track.stamp_s = f64::NAN),
-            ("velocity", |_, life| life.track.velocity.y = f64::INFINITY),
-            ("covariance of the rate", |_, life| life.track.covariance[(9, 9)] = f64::NAN),
-            ("covariance of the pose", |_, life| life.track.covariance[(0, 0)] = -1.0),
-            ("start", |_, life| life.started_s = f64::NAN),
+            ("time", |_, best| best.track.stamp_s = f64::NAN),
+            ("velocity", |_, best| best.track.velocity.y = f64::INFINITY),
+            ("covariance of the rate", |_, best| best.track.covariance[(9, 9)] = f64::NAN),
+            ("covariance of the pose", |_, best| best.track.covariance[(0, 0)] = -1.0),
+            ("start", |_, best| best.started_s = f64::NAN),
             ("order", |saved, _| saved.said[3].0 = 1e9),
             ("measurement", |saved, _| saved.said[3].1.as_mut().unwrap().pose.covariance *= -1.0),
         ];
         let mut fresh = LifeCycle::new(TrackPolicy::default());
         for (what, spoil) in spoil {
             let mut saved = known.saved();
-            let mut life = saved.base.clone().expect("it is older than its history");
-            spoil(&mut saved, &mut life);
-            let refused = fresh.resume(SavedLife { base: Some(life), ..saved }, &ego);
+            let mut base = saved.base.clone().expect("it is older than its history");
+            spoil(&mut saved, &mut base.best);
+            let refused = fresh.resume(SavedLife { base: Some(base), ..saved }, &ego);
             assert!(refused.is_err(), "{what}");
             assert_eq!(fresh.state(), None, "{what}");
         }

@@ -1,5 +1,6 @@
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 
+mod belief;
 mod life;
 
 use nalgebra::{Unit, Vector6};
@@ -331,7 +332,7 @@ fn a_turn_that_is_known_late_counts_as_if_known_in_time() {
     for (k, turn) in turns.iter().enumerate() {
         let seen = seen_at(&turns[..=k], &world);
         ego.add(turn);
-        let measured = FrameMeasurement { pose: found(seen), is_proven: false };
+        let measured = FrameMeasurement { pose: found(seen), rival: None, is_proven: false };
         in_time.measured(turn.later_s, &measured, &ego).unwrap();
         late.measured(turn.later_s, &measured, &late_ego).unwrap();
         late_ego.add(turn);

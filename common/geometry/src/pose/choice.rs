@@ -7,6 +7,17 @@ use super::{PoseEstimate, PoseSolution, is_false, pose_difference};
 /// chi-square with 6 degrees of freedom.
 const PRIOR_SCALE: f64 = 22.46;
 
+/// Most false poses of a target (by 10 cm or 10 degrees) in an hour, for each way to find one.
+pub const FALSE_POSES_PER_HOUR: f64 = 1.0;
+
+/// Choices between several poses in an hour, assumed: a body is found anew each half minute.
+const CHOICES_PER_HOUR: f64 = 120.0;
+
+/// Least lead of a chosen pose: its log odds less those of all others together.
+pub fn least_lead() -> f64 {
+    (CHOICES_PER_HOUR / FALSE_POSES_PER_HOUR).ln()
+}
+
 /// The cheapest solution, including its distance from the prior; `None` without solutions.
 pub fn choose<'a>(
     solutions: &'a [PoseSolution],

@@ -6,15 +6,13 @@
 //! were decoded.
 
 use flockeye_geometry::pose::{
-    FALSE_POSITION_M, FALSE_ROTATION_RAD, position_deviation_m, rotation_deviation_rad,
+    FALSE_POSES_PER_HOUR, FALSE_POSITION_M, FALSE_ROTATION_RAD, least_lead, position_deviation_m,
+    rotation_deviation_rad,
 };
 use nalgebra::Matrix6;
 
 use super::alignment::Alignment;
 use super::evidence::Evidence;
-
-/// Most false poses of a target (by 10 cm or 10 degrees) in an hour, for each way to find one.
-const FALSE_POSES_PER_HOUR: f64 = 1.0;
 
 /// Share of the poses without a body whose log odds exceed 0. The share with [`Evidence::log_odds`]
 /// above x is this times e^-x (docs/results/decisions.md).
@@ -30,9 +28,6 @@ const PREDICTED_PER_HOUR: f64 = 5_400.0;
 
 /// Poses tried in an hour where false markers were decoded: one in a thousand frames.
 const MARKED_PER_HOUR: f64 = 108.0;
-
-/// Choices between several poses in an hour: a body is found anew each half minute.
-const CHOICES_PER_HOUR: f64 = 120.0;
 
 // Least number of standard deviations that fit into the limits of a false pose, for a pose that is
 // a measurement by itself. docs/results/constants.md#precision has the curve.
@@ -61,11 +56,6 @@ pub fn least_log_odds_predicted() -> f64 {
 /// Least log odds of a pose that decoded markers support.
 pub fn least_log_odds_marked() -> f64 {
     least_log_odds(MARKED_PER_HOUR)
-}
-
-/// Least lead of a chosen pose: its log odds less those of all others together.
-pub fn least_lead() -> f64 {
-    (CHOICES_PER_HOUR / FALSE_POSES_PER_HOUR).ln()
 }
 
 /// Whether an aligned pose with this covariance, position (m), then rotation vector (rad), is

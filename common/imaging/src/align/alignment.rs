@@ -64,6 +64,14 @@ pub struct Alignment {
     pub visible_share: f64,
 }
 
+impl Alignment {
+    /// The pose with its covariance.
+    pub fn pose(&self) -> PoseEstimate {
+        let Self { camera_from_markers, covariance, .. } = *self;
+        PoseEstimate { camera_from_markers, covariance }
+    }
+}
+
 /// Reason why nothing was aligned.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 pub enum AlignError {

@@ -50,7 +50,7 @@ mod spread;
 mod state;
 
 pub use acceptance::{
-    is_precise, is_precise_by_corners, least_lead, least_log_odds_anywhere, least_log_odds_marked,
+    is_precise, is_precise_by_corners, least_log_odds_anywhere, least_log_odds_marked,
     least_log_odds_predicted,
 };
 pub use acquire::{Place, Templates};

@@ -292,6 +292,7 @@ fn report(
         measured,
         velocity: Vector3::zeros(),
         rate: Vector3::zeros(),
+        rival: None,
         degenerate: None,
         exposure_monotonic_ns,
         exposure_deviation_ns: 0,

@@ -1,6 +1,7 @@
 //! Outcome of a measured pose: publication, a correction of the track, or nothing.
 
 use crate::measurement::PoseMeasurement;
+use crate::target::TargetEstimate;
 
 /// Outcome of a pass.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -9,12 +10,15 @@ pub enum Outcome {
     Nothing,
     /// The pass found no pose yet: the background pass was requested.
     InBackground,
-    /// A pose that is not precise. It waits for the frame's end, in case a better one is found.
+    /// A pose that is not precise, or one of two that are possible. It waits for the frame's end, in
+    /// case a better one is found.
     Imprecise(PoseMeasurement),
     /// A measurement, which was published.
     Published(PoseMeasurement),
     /// A pose that is not precise: it corrected the track.
     Corrected(PoseMeasurement),
+    /// One of two poses that are possible, by the frame or by the track.
+    Ambiguous(PoseMeasurement),
     /// A pose that contradicts the track.
     OutsideGate(PoseMeasurement),
     /// A pose of a frame too long ago for the track, or with unusable numbers.
@@ -26,15 +30,20 @@ pub enum Outcome {
 }
 
 impl Outcome {
-    /// Outcome of a measurement in an open frame. `is_measured` is the result of the filter:
-    /// whether it counts as the frame's measurement; `None` if the filter refused it.
-    pub(crate) fn of(measurement: PoseMeasurement, is_measured: Option<bool>) -> Self {
-        match is_measured {
-            None if !measurement.is_precise => Self::OutsideGate(measurement),
-            None => Self::Refused(measurement),
-            Some(true) => Self::Published(measurement),
-            Some(false) if measurement.is_precise => Self::OutsideGate(measurement),
-            Some(false) => Self::Corrected(measurement),
+    /// Outcome of a measurement in an open frame, with the target's estimate after it; `None` if the
+    /// filter refused it.
+    pub(crate) fn of(measurement: PoseMeasurement, estimate: Option<&TargetEstimate>) -> Self {
+        let Some(estimate) = estimate else {
+            return match measurement.is_precise {
+                true => Self::Refused(measurement),
+                false => Self::OutsideGate(measurement),
+            };
+        };
+        match (estimate.measured, estimate.rival) {
+            (Some(_), _) => Self::Published(measurement),
+            (None, Some(_)) => Self::Ambiguous(measurement),
+            (None, None) if measurement.is_usable_alone() => Self::OutsideGate(measurement),
+            (None, None) => Self::Corrected(measurement),
         }
     }
 
@@ -54,6 +63,7 @@ impl Outcome {
             Self::Imprecise(measurement)
             | Self::Published(measurement)
             | Self::Corrected(measurement)
+            | Self::Ambiguous(measurement)
             | Self::OutsideGate(measurement)
             | Self::Refused(measurement)
             | Self::Late(measurement) => Some(measurement),

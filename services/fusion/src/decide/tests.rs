@@ -6,7 +6,7 @@ use super::*;
 use crate::fixtures::{alignment, pose};
 use crate::hypothesis::StartSource;
 use flockeye_imaging::align::{AlignError, Evidence};
-use nalgebra::{Matrix6, Translation3};
+use nalgebra::{Matrix6, Translation3, UnitQuaternion, Vector3};
 
 /// A pose with these log odds, precise or not, `along_m` from the body's place.
 fn tried(along_m: f64, log_odds: f64, is_precise: bool) -> Hypothesis {
@@ -39,12 +39,14 @@ fn the_direct_pass_asks_for_a_pose_that_is_certain() {
         (predicted(0.0, 5.5, true), Verdict::BelowThreshold),
         (nothing(), Verdict::NotAligned),
     ] {
-        let decision = of_direct_pass(&hypothesis);
+        let decision = of_direct_pass(&[hypothesis]);
         assert_eq!(decision.reasons, [reason]);
         assert_eq!(decision.chosen.is_some(), reason == Verdict::Accepted);
     }
-    let refused = of_direct_pass(&predicted(0.0, 9.0, true)).refused(Verdict::OutsideGate);
+    let refused = of_direct_pass(&[predicted(0.0, 9.0, true)]).refused(Verdict::OutsideGate);
     assert_eq!((refused.chosen, refused.reasons), (None, vec![Verdict::OutsideGate]));
+    let mirrored = of_direct_pass(&[predicted(0.0, 9.0, true), predicted(0.5, 6.0, true)]);
+    assert_eq!((mirrored.chosen, mirrored.lead), (None, None), "markers may decide");
 }
 
 #[test]
@@ -84,14 +86,59 @@ fn an_untracked_pose_must_lead_its_rivals() {
     let decide = |all: &[Hypothesis]| of_untracked(all, likeliest(all), false);
     let alone = decide(&[tried(0.0, 14.0, true), tried(0.5, 8.0, true)]);
     assert_eq!((alone.chosen, alone.rivals), (Some(PoseIndex::Hypothesis(0)), vec![1]));
-    let rivalled = decide(&[tried(0.5, 8.0, true), tried(0.0, 9.0, true)]);
-    assert_eq!((rivalled.chosen, &rivalled.rivals[..]), (None, &[0][..]));
+    assert_eq!(alone.lead, None);
+    let two = [tried(0.5, 8.0, true), tried(0.0, 9.0, true)];
+    let rivalled = decide(&two);
+    assert_eq!((rivalled.chosen, &rivalled.rivals[..]), (Some(PoseIndex::Hypothesis(1)), &[0][..]));
+    let both = measurement(&rivalled, &two, &[], 1).expect("both are possible");
+    assert!(both.is_precise && !both.is_usable_alone() && !both.is_proven);
+    let rival = both.rival.expect("it is possible");
+    assert_eq!(Some(&rival.pose), two[0].alignment().map(Alignment::pose).as_ref());
+    assert!((rival.lead - 1.0).abs() < 1e-9);
+    let [third, fourth] = [tried(-0.5, 8.0, true), tried(-0.5, 2.0, true)];
+    let three = decide(&[&two[..], &[third]].concat());
+    assert_eq!((three.chosen, three.lead), (None, None), "a third one is possible");
+    assert!(decide(&[&two[..], &[fourth]].concat()).chosen.is_some(), "a third one is unlikely");
     let [Verdict::Rival, Verdict::Rivals(lead)] = rivalled.reasons[..] else {
         panic!("{rivalled:?}")
     };
     assert!((lead - 1.0).abs() < 1e-9, "{lead}");
     let imprecise = decide(&[tried(0.0, 9.0, false)]);
     assert_eq!((imprecise.chosen, imprecise.reasons), (None, vec![Verdict::Imprecise]));
+}
+
+#[test]
+fn a_tracked_pose_must_lead_its_rivals_too() {
+    let lead = |log_odds: f64, is_precise: bool| {
+        let all = [predicted(0.0, 9.0, true), predicted(0.5, log_odds, is_precise)];
+        of_tracked(&all).lead
+    };
+    assert_eq!((lead(2.0, true), lead(7.0, true), lead(7.0, false)), (None, Some(2.0), Some(2.0)));
+    // An imprecise pose may be anywhere within its own deviations.
+    let vague = [predicted(0.0, 6.0, false), predicted(0.12, 5.0, false)];
+    let decision = of_tracked(&vague);
+    assert_eq!((decision.chosen, decision.lead), (Some(PoseIndex::Hypothesis(0)), None));
+}
+
+#[test]
+fn a_vague_prediction_says_little_against_a_mirror_pose() {
+    let turned = |rad: f64| pose(0.9) * UnitQuaternion::from_scaled_axis(Vector3::x() * rad);
+    let with_deviation = |rad: f64| PoseEstimate {
+        camera_from_markers: pose(0.9),
+        covariance: Matrix6::identity() * rad.powi(2),
+    };
+    let excludes = |deviation_rad: f64| {
+        excludes_mirror(&with_deviation(deviation_rad), &turned(0.0), &turned(1.0))
+    };
+    assert!(excludes(0.0) && excludes(0.1) && !excludes(0.3) && !excludes(1.0));
+    let told =
+        |rad: f64, deviation_rad: f64| turn_log(&turned(rad), &with_deviation(deviation_rad));
+    assert!((told(0.0, 0.0) - 3.0 * 2f64.ln()).abs() < 1e-6);
+    for deviation_rad in [0.0, 0.1, 0.3, 1.0] {
+        assert!(told(0.0, deviation_rad) > told(0.5, deviation_rad));
+        assert!(told(0.0, deviation_rad) < 2.08);
+    }
+    assert!(told(1.5, 3.0).abs() < 0.2, "nothing is known of the attitude");
 }
 
 #[test]
@@ -125,7 +172,9 @@ fn a_precise_pose_comes_first_then_one_of_the_picture() {
     let precise = [predicted(0.0, 9.0, true)];
     let imprecise = [predicted(0.0, 9.0, false)];
     let (by_picture, by_corners) = (Some(PoseIndex::Hypothesis(0)), Some(PoseIndex::Corners(0)));
+    let two = [predicted(0.0, 9.0, true), predicted(0.5, 7.0, true)];
     for (tried, corner_poses, chosen) in [
+        (&two[..], &enough, by_corners),
         (&precise[..], &enough, by_picture),
         (&imprecise[..], &enough, by_corners),
         (&imprecise[..], &uncertain, by_picture),

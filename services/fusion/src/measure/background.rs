@@ -149,7 +149,7 @@ pub struct Job {
     /// The prediction of a confirmed track.
     confirmed: Option<PoseEstimate>,
     /// The prediction to search around if no start leads to the body.
-    search_round: Option<Isometry3<f64>>,
+    search_round: Option<PoseEstimate>,
 }
 
 /// A view with its pixels.

@@ -1,7 +1,7 @@
 //! Inputs for the measurement of one target in a frame, collected once.
 
 use flockeye_geometry::body::Body;
-use flockeye_geometry::pose::{CornerRay, PoseSolution, choose, lead, solve};
+use flockeye_geometry::pose::{CornerRay, PoseEstimate, PoseSolution, choose, lead, solve};
 use nalgebra::Isometry3;
 
 use crate::account::{Pass, Trial};
@@ -86,7 +86,7 @@ impl PassInputs<'_> {
     }
 
     /// The prediction to search around, unless that is left to the background pass.
-    fn search_round(&self) -> Option<&Isometry3<f64>> {
+    fn search_round(&self) -> Option<&PoseEstimate> {
         let may_search = self.may_search && !self.trial.is_deferred;
         self.prior.predicted().filter(|_| may_search)
     }
@@ -120,8 +120,8 @@ impl PassInputs<'_> {
         let decision = aligner.find(&sought, is_marked, confirmed, needs_facets, round, tried);
         // A direct pass accepts only a certain pose: others wait for markers. The decision above
         // also accepts a supported one.
-        match tried.first() {
-            Some(only) if pass == Pass::Direct => decide::of_direct_pass(only),
+        match pass {
+            Pass::Direct if !tried.is_empty() => decide::of_direct_pass(tried),
             _ => decision,
         }
     }
@@ -134,7 +134,8 @@ impl PassInputs<'_> {
         is_worth: impl Fn(StartSource) -> bool,
     ) -> Vec<(StartSource, Start)> {
         let mut starts = Vec::new();
-        let predicted = self.prior.predicted();
+        let predicted = self.prior.predicted().map(|known| known.camera_from_markers);
+        let predicted = predicted.into_iter().chain(self.prior.rival().copied());
         for source in pass.starts().iter().copied().filter(|source| is_worth(*source)) {
             match source {
                 StartSource::Corners => {
@@ -144,13 +145,12 @@ impl PassInputs<'_> {
                     }));
                 }
                 StartSource::DoubtfulSquares => starts.extend(self.candidate_starts()),
-                StartSource::Prediction => starts.extend(predicted.map(|predicted| {
-                    let fine = (StartSource::Prediction, Start::Fine(*predicted));
-                    self.rejected_start(predicted).unwrap_or(fine)
+                StartSource::Prediction => starts.extend(predicted.clone().map(|predicted| {
+                    let fine = (source, Start::Fine(predicted));
+                    self.rejected_start(&predicted).unwrap_or(fine)
                 })),
                 StartSource::RoughPrediction => {
-                    let rough = |pose: &Isometry3<f64>| (source, Start::Rough(*pose));
-                    starts.extend(predicted.map(rough));
+                    starts.extend(predicted.clone().map(|pose| (source, Start::Rough(pose))));
                 }
                 // These follow from other starts, or the aligner adds them itself.
                 StartSource::DirectPass

@@ -71,7 +71,7 @@ impl Tracker {
             return (None, Outcome::Nothing);
         };
         let measurement = self.corrected(measurement, rays_m, target, time.at_s);
-        if !is_late && !measurement.is_precise {
+        if !is_late && !measurement.is_usable_alone() {
             // A better pose may be found until the frame ends.
             part.into_iter().for_each(|part| part.imprecise = Some(measurement));
             return (None, Outcome::Imprecise(measurement));

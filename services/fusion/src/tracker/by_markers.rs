@@ -9,7 +9,7 @@ use crate::decide::outcome::Outcome;
 use crate::frame::parts::{Part, Status};
 use crate::measure::inputs::PassInputs;
 use crate::measure::{AnsweredView, BestViews, FrameTime};
-use crate::measurement::{candidate_rays, decoded_rays, marker_ids};
+use crate::measurement::{PoseMeasurement, candidate_rays, decoded_rays, marker_ids};
 use crate::parallel;
 use crate::policy::{TimeBudget, is_search_turn};
 use crate::track_prior::TrackPrior;
@@ -57,7 +57,7 @@ impl Tracker {
                 let rays_m = view.map_or(inputs.rays_m, |view| view.rays_m);
                 self.corrected(measurement, rays_m, target, time.at_s)
             });
-            if let Some(measurement) = corrected.filter(|measurement| measurement.is_precise) {
+            if let Some(measurement) = corrected.filter(PoseMeasurement::is_usable_alone) {
                 found.push((target, trial, measurement));
                 continue;
             }
@@ -117,8 +117,10 @@ impl Tracker {
         begun: &Trial,
     ) -> bool {
         // A tentative track ends after a few frames.
-        let is_urgent = matches!(prior, TrackPrior::Tentative(_));
-        (is_urgent || is_search_turn(time.number, target, self.targets.len()))
+        let is_urgent = matches!(prior, TrackPrior::Tentative { .. });
+        // A pose that is found round one of two predictions says nothing about the other one.
+        (prior.rival().is_none())
+            && (is_urgent || is_search_turn(time.number, target, self.targets.len()))
             && begun.budget != TimeBudget::Overspent
             && (begun.pass == Pass::Complete || begun.is_deferred)
     }

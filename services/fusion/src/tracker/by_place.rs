@@ -7,6 +7,7 @@ use crate::decide::outcome::Outcome;
 use crate::frame::parts::{Part, unpublished};
 use crate::frame::places::place_of;
 use crate::measure::FrameTime;
+use crate::measurement::PoseMeasurement;
 use crate::parallel;
 use crate::policy::TimeBudget;
 
@@ -28,7 +29,8 @@ impl Tracker {
         let search = |view: &BestView<'_>| self.place_trial(time, target, view);
         let trials = parallel::map(places, self.threads, search);
         for (place, trial) in places.iter().zip(trials) {
-            let Some(measurement) = trial.measurement() else {
+            let measurement = trial.measurement();
+            let Some(measurement) = measurement.filter(PoseMeasurement::is_usable_alone) else {
                 self.note_trial(time.order, target, trial, Outcome::Nothing);
                 continue;
             };

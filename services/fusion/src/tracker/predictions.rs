@@ -2,7 +2,7 @@
 //! measurements.
 
 use flockeye_geometry::ego_rotation::CameraTurn;
-use flockeye_geometry::filter::{MotionEstimate, MotionModel};
+use flockeye_geometry::filter::{MotionEstimate, MotionModel, RivalPose};
 use flockeye_geometry::pose::PoseEstimate;
 use flockeye_imaging::align::Motion;
 use nalgebra::{Matrix6, Vector6};
@@ -25,6 +25,12 @@ impl Tracker {
     pub fn prediction(&self, target: usize, at_s: f64) -> Option<MotionEstimate> {
         self.filter?;
         self.targets.get(target)?.predict(at_s, &self.camera.ego)
+    }
+
+    /// Another pose that an ambiguous target may have instead at a time.
+    pub(crate) fn rival(&self, target: usize, at_s: f64) -> Option<RivalPose> {
+        self.filter?;
+        self.targets.get(target)?.predict_rival(at_s, &self.camera.ego)
     }
 
     /// Prediction of each tracked target as the picture of a frame with this exposure will show it,
@@ -99,14 +105,18 @@ impl Tracker {
         target: usize,
         at_s: f64,
     ) -> PoseMeasurement {
-        let mut pose = measurement.pose;
-        if let Some(parallax) = &self.camera.parallax {
-            pose = parallax.corrected(&pose, rays_m);
-        }
-        if let Some((camera, readout_s)) = &self.camera.readout {
+        let corrected = |pose: PoseEstimate| {
+            let parallax = self.camera.parallax.as_ref();
+            let pose = parallax.map_or(pose, |parallax| parallax.corrected(&pose, rays_m));
+            let Some((camera, readout_s)) = &self.camera.readout else { return pose };
             let after_s = after_s(camera, *readout_s, &pose.camera_from_markers);
-            pose = self.carried(target, at_s, &pose, -after_s);
-        }
-        PoseMeasurement { pose, ..measurement }
+            self.carried(target, at_s, &pose, -after_s)
+        };
+        let pose = corrected(measurement.pose);
+        let rival = measurement.rival.map(|RivalPose { pose, lead }| {
+            let pose = corrected(pose);
+            RivalPose { pose, lead }
+        });
+        PoseMeasurement { pose, rival, ..measurement }
     }
 }

@@ -18,6 +18,7 @@ use flockeye_geometry::pose::PoseEstimate;
 use flockeye_geometry::search::Purpose;
 use nalgebra::{Isometry3, Matrix6};
 
+mod ambiguous;
 mod background;
 
 /// A tracker, with the parts of its targets in frames that have not ended.

@@ -156,6 +156,7 @@ pub(crate) fn measurement(camera_from_markers: &Isometry3<f64>) -> PoseMeasureme
     let pose = PoseEstimate { camera_from_markers: *camera_from_markers, covariance };
     PoseMeasurement {
         pose,
+        rival: None,
         measured_by: MeasuredBy::Decoded,
         markers: 2,
         is_precise: true,

@@ -6,7 +6,7 @@ use flockeye_tables::sweep::SweepReport;
 use serde::Serialize;
 use serde_json::{Value, json};
 
-use super::{Dashboard, age_ms, deviation_m, track_state_name};
+use super::{Dashboard, age_ms, deviation_m};
 
 /// The pipeline at one moment.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -54,7 +54,7 @@ impl Dashboard {
             let latency = &track.latency;
             Some(NeighbourReport {
                 name: name.clone(),
-                state: track_state_name(track.state),
+                state: track.state_name(),
                 measured_by: MeasuredBy::try_from(track.measured_by)
                     .map_or("unknown", MeasuredBy::name),
                 position_m: track.observer_from_target.position,

@@ -8,7 +8,7 @@ use flockeye_contract::{Health, StageName};
 use flockeye_geometry::statistics::{median, quantile};
 use nalgebra::Vector3;
 
-use super::{Dashboard, age_ms, deviation_m, track_state_name};
+use super::{Dashboard, age_ms, deviation_m};
 use crate::control::worker_label;
 
 impl Dashboard {
@@ -54,7 +54,7 @@ impl Dashboard {
             let [x, y, z] = track.observer_from_target.position;
             neighbours.row([
                 name.clone(),
-                track_state_name(track.state).to_owned(),
+                track.state_name().to_owned(),
                 format!("{x:.3} {y:.3} {z:.3}"),
                 format!("{:.2}", Vector3::new(x, y, z).norm()),
                 format!("{:.1}", deviation_m(track) * 1e3),
@@ -91,7 +91,7 @@ impl Dashboard {
             let _ = write!(
                 text,
                 " | {name} {} {:.3} {:.3} {:.3} m, {} markers, {:.1} ms",
-                track_state_name(track.state),
+                track.state_name(),
                 x,
                 y,
                 z,

@@ -1,8 +1,9 @@
 //! The decisions of the replayed core as data.
 
 use flockeye_config::Resolved;
+use flockeye_geometry::pose::least_lead;
 use flockeye_imaging::align::{
-    least_lead, least_log_odds_anywhere, least_log_odds_marked, least_log_odds_predicted,
+    least_log_odds_anywhere, least_log_odds_marked, least_log_odds_predicted,
 };
 
 use super::explanation::{CornerFacts, HypothesisFacts, LogOddsTerms, PassFacts};
@@ -240,6 +241,7 @@ fn said(outcome: &Outcome) -> &'static str {
         }
         Outcome::Published(_) => "published as the frame's measurement",
         Outcome::Corrected(_) => "too imprecise to be published: it corrected the track",
+        Outcome::Ambiguous(_) => "not published: another pose is possible, and the track has both",
         Outcome::OutsideGate(_) => "left out: it is not where the track can be",
         Outcome::Refused(_) => "left out: the track cannot use it",
         Outcome::Late(_) => {

@@ -10,6 +10,7 @@ use flockeye_contract::{
 };
 use flockeye_convert::{pose, xyzw};
 use flockeye_geometry::filter;
+use flockeye_geometry::pose::PoseEstimate;
 use flockeye_geometry::view::View;
 use flockeye_imaging::align::{AlignError, Alignment};
 use flockeye_recording::ContractMessage;
@@ -184,12 +185,15 @@ fn trial(outcome: Outcome, verdicts: &[(f64, Verdict)]) -> AccountEntry {
         turn_log: Some(1.0),
         ..Hypothesis::of(StartSource::Prediction, Ok(alignment(*log_odds)))
     };
+    let covariance = Matrix6::identity() * 1e-4;
+    let predicted = PoseEstimate { camera_from_markers: there(), covariance };
+    let prior = TrackPrior::Tentative { predicted, rival: None };
     AccountEntry::Ran(Trial {
         hypotheses: verdicts.iter().map(hypothesis).collect(),
         decision: decision(&verdicts.iter().map(|(_, verdict)| *verdict).collect::<Vec<_>>()),
         view_index: Some(0),
         outcome,
-        ..Trial::of(Pass::Region, &TrackPrior::Tentative(there()), TimeBudget::OneFrame)
+        ..Trial::of(Pass::Region, &prior, TimeBudget::OneFrame)
     })
 }
 

@@ -4,7 +4,7 @@ use super::*;
 
 /// A pose that the picture alone does not prove.
 fn found(pose: Isometry3<f64>) -> FrameMeasurement {
-    FrameMeasurement { pose: super::found(pose), is_proven: false }
+    FrameMeasurement { pose: super::found(pose), rival: None, is_proven: false }
 }
 
 fn frame(k: i32) -> f64 {
@@ -91,10 +91,20 @@ fn a_wrong_track_begins_anew_from_what_contradicts_it() {
     }
     assert!(!life.accepts(frame(7), &found(other), &still()), "it would begin anew");
     assert_eq!(life.measured(frame(7), &found(other), &still()).unwrap(), Happened::Restarted);
+    assert_eq!(life.state(), Some(TrackState::Confirmed), "it was measured three times");
+    let track = life.track().unwrap();
+    assert!((track.camera_from_markers.translation.vector.x - -9.0).abs() < 1e-6);
+}
+
+#[test]
+fn a_tentative_track_begins_anew_from_what_contradicts_it() {
+    let (pose, other) =
+        (Isometry3::translation(1.0, 0.0, 0.0), Isometry3::translation(-9.0, 0.0, 0.0));
+    let mut life = life();
+    assert_eq!(life.measured(frame(0), &found(pose), &still()).unwrap(), Happened::Started);
+    assert_eq!(life.measured(frame(1), &found(other), &still()).unwrap(), Happened::Restarted);
     assert_eq!(life.state(), Some(TrackState::Tentative));
     assert_eq!(life.track().unwrap().camera_from_markers, other);
-    // A tentative one is not worth defending.
-    assert_eq!(life.measured(frame(8), &found(pose), &still()).unwrap(), Happened::Restarted);
 }
 
 #[test]
