@@ -317,7 +317,7 @@ impl Aligner {
             true => self.predicted(target, source, found, predicted, |_| false),
             false => self.competing(target, source, found, |_| false),
         });
-        let decision = decide::with_search(decision, tried, predicted);
+        let decision = decide::with_search(decision, tried, predicted, is_confirmed);
         match is_confirmed {
             true => self.or_mirror(decision, target, picture, predicted, |_| false, tried),
             false => decision,

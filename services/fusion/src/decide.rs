@@ -27,7 +27,7 @@ use flockeye_geometry::pose::{
     rotation_deviation_rad,
 };
 use flockeye_imaging::align::{Alignment, is_precise_by_corners};
-use nalgebra::{Isometry3, Matrix3};
+use nalgebra::Isometry3;
 
 use crate::hypothesis::{CornerPose, CornerVerdict, Hypothesis, StartSource};
 use crate::measurement::PoseMeasurement;
@@ -122,10 +122,29 @@ impl Decision {
         self.give_reason(index, Verdict::Accepted);
     }
 
+    /// Chooses a hypothesis beside a confirmed track. An imprecise one is no measurement, and only
+    /// corrects the track. A precise one must lead over its mirror pose and over other poses that
+    /// the prediction, markers or facets support.
+    fn choose_tracked(&mut self, tried: &[Hypothesis], best: usize) {
+        if tried.get(best).is_none_or(|best| !has_precise_pose(best)) {
+            return self.choose(best);
+        }
+        let is_rival = |other: &Hypothesis| {
+            other.source == StartSource::Mirror || is_supported_beside_track(other)
+        };
+        self.choose_among(tried, best, is_rival);
+    }
+
     /// Chooses a hypothesis, unless its rivals are too likely. Then both it and the likeliest rival
     /// are possible, if no third one is.
-    fn choose_among(&mut self, tried: &[Hypothesis], best: usize) {
-        let rivals = rivals_of(tried, best);
+    fn choose_among(
+        &mut self,
+        tried: &[Hypothesis],
+        best: usize,
+        is_rival: impl Fn(&Hypothesis) -> bool,
+    ) {
+        let mut rivals = rivals_of(tried, best);
+        rivals.retain(|(other, _)| is_rival(&tried[*other]));
         let [all, others] = [&rivals[..], rivals.get(1..).unwrap_or_default()]
             .map(|some| some.iter().map(|(_, log_odds)| log_odds.exp()).sum::<f64>());
         let limit = (-least_lead()).exp();
@@ -175,22 +194,17 @@ fn rivals_of(tried: &[Hypothesis], best: usize) -> Vec<(usize, f64)> {
 }
 
 /// Log of the likelihood ratio of a pose's turn from its track's prediction, if it is right against
-/// if it is false. Both are normal densities, to which the prediction's own covariance is added. So
-/// a prediction that knows little of the attitude says little against a mirror pose.
+/// if it is false. A prediction that is less certain than [`TURN_SIGMA_RAD`] widens both
+/// distributions, so that it says little against a mirror pose.
 pub fn turn_log(camera_from_markers: &Isometry3<f64>, predicted: &PoseEstimate) -> f64 {
-    let turn = pose_difference(camera_from_markers, &predicted.camera_from_markers)
-        .fixed_rows::<3>(3)
-        .into_owned();
-    let prior = predicted.covariance.fixed_view::<3, 3>(3, 3);
-    let density = |sigma_rad: f64| {
-        let covariance = prior + Matrix3::from_diagonal_element(sigma_rad.powi(2));
-        // A matrix that is no covariance has no weight.
-        covariance.cholesky().map_or(0.0, |factor| {
-            let log_deviations: f64 = factor.l_dirty().diagonal().map(f64::ln).sum();
-            -0.5 * turn.dot(&factor.solve(&turn)) - log_deviations
-        })
-    };
-    density(TURN_SIGMA_RAD) - density(FALSE_TURN_SIGMA_RAD)
+    let rotation = &predicted.camera_from_markers.rotation;
+    let turn_rad = camera_from_markers.rotation.angle_to(rotation);
+    let predicted_rad = rotation_deviation_rad(&predicted.covariance) / 3f64.sqrt();
+    let right_rad = TURN_SIGMA_RAD.max(predicted_rad);
+    let wider = FALSE_TURN_SIGMA_RAD.powi(2) - TURN_SIGMA_RAD.powi(2);
+    // Two normal densities in three axes.
+    let density = |sigma: f64| -3.0 * sigma.ln() - 0.5 * (turn_rad / sigma).powi(2);
+    density(right_rad) - density((right_rad.powi(2) + wider).sqrt())
 }
 
 /// Whether a prediction alone excludes a mirror pose beside a pose that was found.
@@ -256,7 +270,7 @@ pub(crate) fn of_direct_pass(tried: &[Hypothesis]) -> Decision {
     let mut decision = Decision::nothing(tried);
     let Some(first) = tried.first() else { return decision };
     if is_certain(first) {
-        decision.choose_among(tried, 0);
+        decision.choose_tracked(tried, 0);
     } else if is_accepted(first) && is_predicted(first) {
         decision.give_reason(0, Verdict::Imprecise);
     }
@@ -278,16 +292,21 @@ pub fn of_tracked(tried: &[Hypothesis]) -> Decision {
             best = Some((log_odds, index));
             break;
         }
-        let is_alone_enough = hypothesis.alignment().is_some_and(is_proven);
-        if is_predicted(hypothesis) || is_marked(hypothesis) || is_alone_enough {
+        if is_supported_beside_track(hypothesis) {
             decision.give_reason(index, Verdict::LessLikely);
             if best.is_none_or(|(most, _)| log_odds > most) {
                 best = Some((log_odds, index));
             }
         }
     }
-    best.into_iter().for_each(|(_, index)| decision.choose_among(tried, index));
+    best.into_iter().for_each(|(_, index)| decision.choose_tracked(tried, index));
     decision
+}
+
+/// Whether the prediction, decoded markers or several facets support a pose beside a track.
+fn is_supported_beside_track(hypothesis: &Hypothesis) -> bool {
+    let is_alone_enough = hypothesis.alignment().is_some_and(is_proven);
+    is_predicted(hypothesis) || is_marked(hypothesis) || is_alone_enough
 }
 
 /// Whether no other start is needed for an untracked body.
@@ -328,7 +347,7 @@ pub(crate) fn of_untracked(
         decision.give_reason(index, verdict);
     }
     let Some(best) = likeliest else { return decision };
-    decision.choose_among(tried, best);
+    decision.choose_among(tried, best, |_| true);
     let is_undecided = decision.lead.is_some() || !is_unambiguous(&tried[best]);
     match needs_facets && is_undecided && decision.chosen.is_some() {
         true => decision.refused(Verdict::OneFacetAlone),
@@ -367,6 +386,7 @@ pub(crate) fn with_search(
     mut decision: Decision,
     tried: &[Hypothesis],
     predicted: &PoseEstimate,
+    is_confirmed: bool,
 ) -> Decision {
     let Some((last, searched)) = tried.iter().enumerate().next_back() else { return decision };
     let Some(searched) = searched.alignment() else {
@@ -383,7 +403,10 @@ pub(crate) fn with_search(
         Some((index, _)) => decision.give_reason(index, Verdict::LessLikely),
         None => {}
     }
-    decision.choose_among(tried, last);
+    match is_confirmed {
+        true => decision.choose_tracked(tried, last),
+        false => decision.choose_among(tried, last, |_| true),
+    }
     decision
 }
 
@@ -423,7 +446,7 @@ pub(crate) fn of_corners(
 /// Decides again if the last hypothesis is the mirror pose of the chosen one.
 pub(crate) fn with_mirror(mut decision: Decision, tried: &[Hypothesis]) -> Decision {
     decision.reasons.extend(Decision::nothing(tried).reasons.pop());
-    decision.hypothesis().into_iter().for_each(|best| decision.choose_among(tried, best));
+    decision.hypothesis().into_iter().for_each(|best| decision.choose_tracked(tried, best));
     decision
 }
 

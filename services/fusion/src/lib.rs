@@ -65,6 +65,7 @@ mod succession;
 mod target;
 mod track_prior;
 mod tracker;
+mod twins;
 mod work;
 
 // For `flockeye-replay`: the core, its inputs and outputs, and the account of its decisions.

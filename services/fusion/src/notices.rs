@@ -17,6 +17,8 @@ pub(crate) enum Notice {
     },
     /// A marker that no configured body carries.
     UnknownMarker { marker: u32 },
+    /// One marker of a body was seen at two places.
+    SeenTwice { body: String, marker: u32, apart_deg: u32 },
     /// A frame was not completed in time.
     Incomplete { sequence: u64 },
     /// A record came too late.
@@ -51,6 +53,18 @@ impl Notice {
                         marker,
                         more_since = more,
                         "a marker was seen that no configured body carries; it is ignored"
+                    );
+                }
+            }
+            Self::SeenTwice { body, marker, apart_deg } => {
+                if let Some(more) = throttle.admit() {
+                    tracing::warn!(
+                        body,
+                        marker,
+                        apart_deg,
+                        more_since = more,
+                        "one marker is seen at two places: two drones carry its ids, or a picture shows \
+                         them. The track stays with one of them. Cure: give each drone ids of its own"
                     );
                 }
             }

@@ -11,6 +11,7 @@ use crate::output::Cause;
 use crate::record::Record;
 use crate::schedule::Schedule;
 use crate::target::Update;
+use crate::twins::seen_twice;
 
 impl<P: AsRef<[u8]>> Core<P> {
     /// The direct pass over regions of one frame, as many at once as there are threads.
@@ -55,6 +56,7 @@ impl<P: AsRef<[u8]>> Core<P> {
         let (time, budget) = (time_of(&self.planning, &stamp), self.budget(&stamp));
         let Some(frame) = self.frames.get_mut(order) else { return };
         let (reader, tracker) = (&mut self.reader, &mut self.tracker);
+        let notices = &mut outputs.notices;
         let updates = frame.with_parts(|frame, parts| {
             let mut best_views = reader.best_views(&frame.held);
             let views = searched.clone().unwrap_or_else(|| {
@@ -65,7 +67,13 @@ impl<P: AsRef<[u8]>> Core<P> {
             let answered = views.iter().filter_map(|index| answered(frame, *index));
             let answered: Vec<AnsweredView<'_>> = answered.collect();
             match pass {
-                Pass::Complete => tracker.final_pass(time, parts, &answered, &best_views, budget),
+                Pass::Complete => {
+                    let markers = || answered.iter().flat_map(|answer| &answer.record.markers);
+                    let targets = tracker.targets().iter();
+                    notices
+                        .extend(targets.filter_map(|target| seen_twice(&target.body, markers())));
+                    tracker.final_pass(time, parts, &answered, &best_views, budget)
+                }
                 _ => tracker.region_pass(time, parts, &answered, &best_views, budget),
             }
         });

@@ -360,6 +360,30 @@ fn markers_whose_rays_disagree_with_their_corners_are_left_out() {
     assert!(poses(&said).is_empty());
 }
 
+/// Another drone with the same ids flies 40 degrees beside alpha.
+#[test]
+fn a_second_body_with_the_same_markers_is_noticed_and_not_averaged() {
+    let turn = nalgebra::UnitQuaternion::from_euler_angles(0.0, 0.0, 0.7);
+    let twin = turn * pose(0.9);
+    let mut core = core(Schedule::Unlimited);
+    drain(&mut core, 0);
+    core.on(region(0, 0), 0);
+    core.on(searched(0, 0), 0);
+    let beside = region_record(0, 0, &pose(0.9));
+    let header = DetectionHeader { view_index: 1, ..beside.header };
+    let markers = record(0, &twin).markers;
+    core.on(Event::Searched(Record { header, markers }), 0);
+    core.on(frame_end(0, 0, 2), 0);
+    let said = drain(&mut core, 0);
+    let notices = said.iter().flat_map(|outputs| &outputs.notices);
+    let twice = |notice: &&Notice| matches!(notice, Notice::SeenTwice { .. });
+    assert_eq!(notices.filter(twice).count(), 1);
+    let tracker = core.tracker();
+    let found = tracker.prediction(0, at_s(0)).map(|found| found.camera_from_markers);
+    let nearest = |found| [pose(0.9), twin].map(|one| error_m(&found, &one)).map(|m| m < 0.02);
+    assert!(found.is_none_or(|found| nearest(found).contains(&true)), "{found:?}");
+}
+
 #[test]
 fn a_marker_of_no_body_is_noticed_and_ignored() {
     let mut core = core(Schedule::Flight);

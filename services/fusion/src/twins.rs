@@ -1,0 +1,76 @@
+//! Two bodies that carry the same markers.
+
+use flockeye_contract::DetectedMarker;
+use flockeye_geometry::body::Body;
+use nalgebra::Vector3;
+
+use crate::notices::Notice;
+
+/// A notice if a frame shows one marker of `body` at two places that are farther apart than the body
+/// is wide. Two drones then carry its markers, or something shows a picture of them.
+pub(crate) fn seen_twice<'m>(
+    body: &Body,
+    markers: impl Iterator<Item = &'m DetectedMarker>,
+) -> Option<Notice> {
+    let own: Vec<&DetectedMarker> = markers.filter(|marker| marker.is_decoded()).collect();
+    own.iter().enumerate().find_map(|(k, one)| {
+        let marker = body.marker(one.id)?;
+        let width_in_sides = 2.0 * body.radius() / marker.side();
+        let width_rad = |seen: &DetectedMarker| width_in_sides * side_rad(seen);
+        let apart_rad = own[k + 1..]
+            .iter()
+            .filter(|other| other.id == one.id)
+            .map(|other| (middle(one).angle(&middle(other)), width_rad(one).max(width_rad(other))))
+            .find_map(|(apart_rad, width_rad)| (apart_rad > width_rad).then_some(apart_rad))?;
+        let apart_deg = apart_rad.to_degrees().round() as u32;
+        Some(Notice::SeenTwice { body: body.name.clone(), marker: one.id, apart_deg })
+    })
+}
+
+fn middle(seen: &DetectedMarker) -> Vector3<f64> {
+    seen.rays_in_camera.iter().map(|ray| Vector3::from(*ray)).sum()
+}
+
+/// Angle of a marker's longest side, which a tilt shortens least.
+fn side_rad(seen: &DetectedMarker) -> f64 {
+    let rays = seen.rays_in_camera.map(Vector3::from);
+    (0..4).map(|k| rays[k].angle(&rays[(k + 1) % 4])).fold(0.0, f64::max)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fixtures::{alpha, bravo, facing_markers, pose};
+    use nalgebra::{Isometry3, UnitQuaternion};
+
+    /// What a frame shows of alphas, turned about the camera by these angles.
+    fn shown(turns_deg: &[f64]) -> Vec<DetectedMarker> {
+        let turned = |turn_deg: &f64| {
+            let turn = UnitQuaternion::from_euler_angles(0.0, 0.0, turn_deg.to_radians());
+            let at: Isometry3<f64> = turn * pose(0.9);
+            facing_markers(&alpha(), &at, 4)
+        };
+        turns_deg.iter().flat_map(turned).collect()
+    }
+
+    #[test]
+    fn one_marker_at_two_places_is_noticed_with_their_distance() {
+        let twice = |turns_deg: &[f64]| seen_twice(&alpha(), shown(turns_deg).iter());
+        assert_eq!(twice(&[0.0]), None);
+        assert_eq!(twice(&[0.0, 0.1]), None, "it was seen in two views");
+        let Some(Notice::SeenTwice { body, apart_deg, .. }) = twice(&[0.0, 40.0]) else {
+            unreachable!("two bodies are there");
+        };
+        assert_eq!(body, "alpha");
+        assert!((30..=45).contains(&apart_deg), "{apart_deg} degrees");
+    }
+
+    #[test]
+    fn doubtful_squares_and_other_bodies_are_no_second_place() {
+        let mut markers = shown(&[0.0, 40.0]);
+        assert_eq!(seen_twice(&bravo(), markers.iter()), None);
+        let half = markers.len() / 2;
+        markers[half..].iter_mut().for_each(|marker| marker.doubtful = 1);
+        assert_eq!(seen_twice(&alpha(), markers.iter()), None);
+    }
+}
