@@ -13,22 +13,24 @@
 //! | --- | --- |
 //! | this one | which hypothesis is the body's pose |
 //! | [`markers`] | whether decoded markers support or contradict a pose |
+//! | [`rivals`] | which poses compete with one |
 //! | [`outcome`] | the outcome of a measured pose: publication, a correction of the track, or nothing |
 
 pub(crate) mod markers;
 pub(crate) mod outcome;
+mod rivals;
 #[cfg(test)]
 mod tests;
 
 use flockeye_contract::MeasuredBy;
-use flockeye_geometry::filter::{GATE_PROBABILITY, RivalPose, chi_square_gate};
+use flockeye_geometry::filter::RivalPose;
 use flockeye_geometry::pose::{
-    PoseEstimate, PoseSolution, is_false, least_lead, pose_difference, position_deviation_m,
-    rotation_deviation_rad,
+    PoseEstimate, PoseSolution, least_lead, position_deviation_m, rotation_deviation_rad,
 };
 use flockeye_imaging::align::{Alignment, is_precise_by_corners};
 use nalgebra::Isometry3;
 
+use self::rivals::rivals_of;
 use crate::hypothesis::{CornerPose, CornerVerdict, Hypothesis, StartSource};
 use crate::measurement::PoseMeasurement;
 use crate::policy::TimeBudget;
@@ -172,25 +174,6 @@ impl Decision {
         }
         Self { chosen: None, lead: None, ..self }
     }
-}
-
-/// Hypotheses that would be false if `best` is true, the likeliest first, with their log odds less
-/// its own. Starts that led to the same pose are one rival: the likeliest of them counts.
-fn rivals_of(tried: &[Hypothesis], best: usize) -> Vec<(usize, f64)> {
-    let most = tried.get(best).and_then(Hypothesis::log_odds).unwrap_or_default();
-    let is_same = |one: usize, other: usize| is_same(&tried[one], &tried[other]);
-    let mut rivals: Vec<(usize, f64)> = competitors(tried)
-        .filter(|(other, _)| *other != best && is_elsewhere(&tried[best], &tried[*other]))
-        .map(|(other, log_odds)| (other, log_odds - most))
-        .collect();
-    rivals.sort_by(|(_, one), (_, other)| other.total_cmp(one));
-    let mut distinct: Vec<(usize, f64)> = Vec::new();
-    for rival in rivals {
-        if !distinct.iter().any(|(other, _)| is_same(*other, rival.0)) {
-            distinct.push(rival);
-        }
-    }
-    distinct
 }
 
 /// Log of the likelihood ratio of a pose's turn from its track's prediction, if it is right against
@@ -353,26 +336,6 @@ pub(crate) fn of_untracked(
         true => decision.refused(Verdict::OneFacetAlone),
         false => decision,
     }
-}
-
-/// Whether a pose would be false if `best` is true, and the covariance of `best` does not say so.
-fn is_elsewhere(best: &Hypothesis, other: &Hypothesis) -> bool {
-    let Some((best_pose, other_pose)) = best.alignment().zip(other.alignment()) else {
-        return false;
-    };
-    let difference =
-        pose_difference(&other_pose.camera_from_markers, &best_pose.camera_from_markers);
-    let is_near = best_pose.covariance.cholesky().is_some_and(|factor| {
-        difference.dot(&factor.solve(&difference)) <= chi_square_gate(GATE_PROBABILITY)
-    });
-    !is_same(best, other) && !is_near
-}
-
-/// Whether two poses are equivalent: neither is false if the other one is true.
-fn is_same(one: &Hypothesis, other: &Hypothesis) -> bool {
-    one.alignment()
-        .zip(other.alignment())
-        .is_some_and(|(one, other)| !is_false(&one.camera_from_markers, &other.camera_from_markers))
 }
 
 /// Whether no search around the prediction is needed, because a precise pose is chosen.

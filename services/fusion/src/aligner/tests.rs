@@ -246,6 +246,48 @@ fn with_a_spent_budget_only_the_first_start_counts() {
     });
 }
 
+/// The tilt prior favours a mirror pose that stands upright. Several facets outweigh it.
+#[test]
+fn a_body_on_its_side_is_found_as_it_lies() {
+    let bodies = Bodies::new("DICT_5X5_250".into(), vec![alpha()]).unwrap();
+    let lying = UnitQuaternion::from_scaled_axis(Vector3::y() * 1.5);
+    let on_the_ground = Vector3::new(0.8, 0.5, -0.7).normalize() * 1.2;
+    let truth = Isometry3::from_parts(on_the_ground.into(), lying);
+    with_picture(&truth, |aligner, picture| {
+        let level = aligner.clone().with_max_tilt(&bodies, &Isometry3::identity(), 0.8);
+        let mirrors = (0..).map_while(|facet| level.prints[0].mirrored(facet, &truth));
+        let starts: Vec<Start> = mirrors.chain([truth]).map(Start::Fine).collect();
+        let found = initiate(&level, picture, &starts, TimeBudget::Unlimited);
+        let found = found.expect("several facets show it").camera_from_markers;
+        assert!(found.rotation.angle_to(&truth.rotation) < 0.03);
+    });
+}
+
+/// A mirror on the wall turns left and right of a marker. No rotation does that.
+#[test]
+fn a_body_in_a_mirror_is_nowhere() {
+    let body = alpha();
+    let (aligner, truth) =
+        (aligner(&Bodies::new("DICT_5X5_250".into(), vec![body.clone()]).unwrap()), pose(0.9, 0.9));
+    let mut drawing: Drawing = draw(&body, &truth, PIXELS_PER_RADIAN, 0.9, 0.004);
+    let width = drawing.view.size_px as usize;
+    drawing.pixels.chunks_exact_mut(width).for_each(<[u8]>::reverse);
+    let light = LinearLight::new(TransferCurve::Srgb, CodeRange::Full).unwrap();
+    let picture = Picture::still(drawing.image(), drawing.view, &light, PIXELS_PER_RADIAN);
+    let mut tried = 0;
+    for (axis, step) in (0..3).flat_map(|axis| (0..24).map(move |step| (axis, step))) {
+        let turn = Vector3::ith(axis, f64::from(step) * 0.262);
+        let rotation = UnitQuaternion::from_scaled_axis(turn) * truth.rotation;
+        let start = Isometry3::from_parts(truth.translation, rotation);
+        for start in [Start::Fine(start), Start::Rough(start)] {
+            let found = initiate(&aligner, &picture, &[start], TimeBudget::Unlimited);
+            assert_eq!(found, None, "axis {axis}, step {step}");
+            tried += 1;
+        }
+    }
+    assert_eq!(tried, 144);
+}
+
 /// What was decided of each hypothesis, and the hypotheses.
 fn decided(
     picture: &Picture<'_>,

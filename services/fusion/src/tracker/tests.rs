@@ -20,6 +20,7 @@ use nalgebra::{Isometry3, Matrix6};
 
 mod ambiguous;
 mod background;
+mod hidden;
 
 /// A tracker, with the parts of its targets in frames that have not ended.
 struct Tracking {
