@@ -84,7 +84,7 @@ pub use topic::{
     Journals, Odometries, Packets, Peers, Plans, Rotations, Swarms, TOPICS, Topic, TopicId,
     TopicInfo, TopicVisitor, Tracks, Truths, VERSION_ATTRIBUTE, Views, visit_topics,
 };
-pub use track::{FrameEnd, Pose, StageLatency, Track, TrackHeader};
+pub use track::{AMBIGUOUS, FrameEnd, Pose, StageLatency, Track, TrackHeader};
 pub use truth::{BodyTruth, TruthHeader};
 pub use view::ViewHeader;
 

@@ -167,11 +167,14 @@ impl Default for Track {
     }
 }
 
+/// Name of the state of a track whose rival is possible, for people.
+pub const AMBIGUOUS: &str = "ambiguous";
+
 impl Track {
-    /// Name of the track's state, for people: `ambiguous` where the rival is possible.
+    /// Name of the track's state, for people: [`AMBIGUOUS`] where the rival is possible.
     pub fn state_name(&self) -> &'static str {
         match TrackState::try_from(self.state) {
-            Ok(_) if self.is_ambiguous != 0 => "ambiguous",
+            Ok(_) if self.is_ambiguous != 0 => AMBIGUOUS,
             Ok(state) => state.name(),
             Err(_) => "unknown",
         }

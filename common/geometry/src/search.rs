@@ -243,10 +243,9 @@ impl Planner {
         Self { alternates_windows, ..self }
     }
 
-    /// States the number of targets. With [`PlanOrder::Roi`], `views` proposals are requested in each
-    /// frame while one of them is not tracked, and the sphere is hardly swept while all are. With
-    /// [`PlanOrder::Exhaustive`] proposals are requested in each frame.
-    pub fn with_targets(self, targets: usize, views: usize) -> Self {
+    /// Requests `views` proposals in each frame while one of `targets` targets is not tracked, with
+    /// [`PlanOrder::Roi`]. With [`PlanOrder::Exhaustive`] it requests them in each frame.
+    pub fn with_proposals(self, targets: usize, views: usize) -> Self {
         Self { targets, proposals: views, ..self }
     }
 
@@ -293,8 +292,7 @@ impl Planner {
     /// tiles of both resolutions in turn, least recently searched first.
     ///
     /// After [`MAX_FRAMES_WITHOUT_TILE`] frames without a tile, the first tile comes before the
-    /// proposals. A target that is never proposed must be found too. While all targets are tracked,
-    /// this is the only tile: nobody is left to be found, but a track may be wrong.
+    /// proposals. A target that is never proposed must be found too.
     ///
     /// Where there are more than `VIEWS_BEFORE_PARTITION` neighbours, the first tile comes right
     /// after that many of their views. So a frame with time for one view more searches at least one
@@ -311,18 +309,15 @@ impl Planner {
         regions.sort_by_key(|planned| searched.last_searched(planned.purpose));
         let order =
             least_recently_searched(searched, visible(&self.tiles), visible(&self.high_resolution));
+        let tiles = self.tile_views(searched, &order);
         let known = neighbours.iter().filter(|neighbour| !neighbour.is_stale).count();
-        let are_all_known = self.targets > 0 && known >= self.targets;
-        let proposals = if are_all_known { 0 } else { self.proposals };
-        let is_tile_due = searched.frames_without_tile() >= MAX_FRAMES_WITHOUT_TILE;
-        let most = if are_all_known { usize::from(is_tile_due) } else { order.len() };
-        let mut tiles = self.tile_views(searched, &order);
-        tiles.truncate(most);
+        let proposals = if known < self.targets { self.proposals } else { 0 };
         let view_budget =
             regions.len() + proposals + self.roi.partitions_per_frame.min(tiles.len());
         let mut views = regions;
         let (first, others) = tiles.split_at(tiles.len().min(1));
         let is_crowded = views.len() > VIEWS_BEFORE_PARTITION;
+        let is_tile_due = searched.frames_without_tile() >= MAX_FRAMES_WITHOUT_TILE;
         let mut rest = vec![PROPOSAL; proposals];
         match (is_crowded, is_tile_due) {
             (true, _) => {

@@ -192,8 +192,8 @@ impl Aligner {
         self.or_mirror(decision, target, picture, predicted, is_marked, tried)
     }
 
-    /// Also tries the mirror pose of the chosen pose, unless several facets or the prediction
-    /// exclude it.
+    /// Also tries the mirror pose of the chosen pose, unless that is imprecise, or several facets or
+    /// the prediction exclude the mirror pose.
     fn or_mirror(
         &self,
         decision: Decision,
@@ -203,7 +203,8 @@ impl Aligner {
         is_marked: impl Fn(&Isometry3<f64>) -> bool,
         tried: &mut Vec<Hypothesis>,
     ) -> Decision {
-        let is_undecided = |found: &&Alignment| !found.evidence.is_unambiguous();
+        let is_undecided =
+            |found: &&Alignment| found.is_precise && !found.evidence.is_unambiguous();
         let Some(best) = decision.chosen_of(tried).filter(is_undecided) else { return decision };
         let Some(mirror) = self.mirror_pose(target, best) else { return decision };
         if decide::excludes_mirror(predicted, &best.camera_from_markers, &mirror) {
@@ -258,7 +259,8 @@ impl Aligner {
             let found = self.try_align(target, picture, &Start::Fine(mirror), None);
             tried.push(self.competing(target, StartSource::Mirror, found, &is_marked));
         }
-        decide::of_untracked(tried, likeliest, needs_facets)
+        // The mirror pose may be the likelier one.
+        decide::of_untracked(tried, decide::likeliest(tried), needs_facets)
     }
 
     /// A hypothesis that competes with others, with the evidence for it alone.

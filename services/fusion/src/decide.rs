@@ -50,7 +50,7 @@ pub(crate) const MARKERS_WITHOUT_TRACK: usize = 2;
 /// Decision about the poses that a pass has tried.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Decision {
-    /// The body's pose, or the likelier one of two.
+    /// The body's pose, or one of two that are possible.
     pub chosen: Option<PoseIndex>,
     /// Where the first rival may be the body's pose instead: the lead of the chosen one over all
     /// rivals, in log odds.
@@ -137,16 +137,16 @@ impl Decision {
         self.choose_among(tried, best, is_rival);
     }
 
-    /// Chooses a hypothesis, unless its rivals are too likely. Then both it and the likeliest rival
-    /// are possible, if no third one is.
+    /// Chooses a hypothesis, unless its rivals are too likely. Then the pose and its likeliest rival
+    /// are both possible. With a third one, nothing is chosen.
     fn choose_among(
         &mut self,
         tried: &[Hypothesis],
         best: usize,
         is_rival: impl Fn(&Hypothesis) -> bool,
     ) {
-        let mut rivals = rivals_of(tried, best);
-        rivals.retain(|(other, _)| is_rival(&tried[*other]));
+        (self.chosen, self.lead) = (None, None);
+        let rivals = rivals_of(tried, best, is_rival);
         let [all, others] = [&rivals[..], rivals.get(1..).unwrap_or_default()]
             .map(|some| some.iter().map(|(_, log_odds)| log_odds.exp()).sum::<f64>());
         let limit = (-least_lead()).exp();

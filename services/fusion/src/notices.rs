@@ -63,8 +63,9 @@ impl Notice {
                         marker,
                         apart_deg,
                         more_since = more,
-                        "one marker is seen at two places: two drones carry its ids, or a picture shows \
-                         them. The track stays with one of them. Cure: give each drone ids of its own"
+                        "one marker is seen at two places: two drones carry its ids, a picture shows it, \
+                         or a square was misread. The track stays with one of them. Cure, if it is \
+                         repeated: give each drone ids of its own"
                     );
                 }
             }

@@ -212,7 +212,11 @@ fn track(
 ) -> Track {
     let (observer_from_target, covariance) =
         believed(&estimate.pose, estimate.rival, body, observer_from_camera);
-    let rival = estimate.rival.filter(|_| estimate.state != Some(filter::TrackState::Tentative));
+    let is_published = |_: &RivalPose| {
+        let states = [filter::TrackState::Confirmed, filter::TrackState::Coasting];
+        estimate.state.is_some_and(|state| states.contains(&state))
+    };
+    let rival = estimate.rival.filter(is_published);
     let measured =
         estimate.measured.map(|(measured, _)| mounted(&measured, body, observer_from_camera));
     let measured_by = estimate.measured.map_or(MeasuredBy::Nothing, |(_, by)| by);
@@ -222,7 +226,11 @@ fn track(
     let velocity: Vector3<f64> = turn * (estimate.velocity + estimate.rate.cross(&offset));
     let state = match estimate.state {
         None => TrackState::Measured,
-        Some(filter::TrackState::Tentative) if estimate.measured.is_none() => TrackState::Coasting,
+        Some(filter::TrackState::Tentative)
+            if estimate.measured.is_none() && estimate.rival.is_none() =>
+        {
+            TrackState::Coasting
+        }
         Some(filter::TrackState::Tentative) => TrackState::Tentative,
         // One of two poses is no measurement.
         Some(filter::TrackState::Confirmed) if rival.is_some() => TrackState::Coasting,
@@ -365,10 +373,14 @@ mod tests {
         assert!((written.covariance[0] - (1e-4 + 0.1 * 0.04)).abs() < 1e-9);
         assert!((written.covariance[21] - (1e-4 + 0.1 * 1.0)).abs() < 1e-9);
         assert!((written.covariance[28] - 1e-4).abs() < 1e-9);
-        let tentative =
-            TargetEstimate { state: Some(filter::TrackState::Tentative), ..estimate.clone() };
-        let written = track(0, &tentative, &alpha(), &Isometry3::identity());
-        assert_eq!(written.is_ambiguous, 0, "tentative tracks may be false altogether");
+        for (state, code) in [
+            (filter::TrackState::Tentative, TrackState::Tentative),
+            (filter::TrackState::Lost, TrackState::Lost),
+        ] {
+            let ended = TargetEstimate { state: Some(state), ..estimate.clone() };
+            let written = track(0, &ended, &alpha(), &Isometry3::identity());
+            assert_eq!((written.is_ambiguous, written.state), (0, code.code()));
+        }
     }
 
     /// The covariance's Jacobian against differences of the transform itself.

@@ -41,7 +41,7 @@ pub fn configured<P: AsRef<[u8]>>(
     )?
     .with_high_resolution_tiles(resolved.high_resolution_tiles.clone())
     .with_alternating_windows(pipeline.alternates_windows())
-    .with_targets(bodies.len(), proposals(resolved))
+    .with_proposals(bodies.len(), proposals(resolved))
     .with_mask(resolved.mask()?.clone());
     if planner.hidden_partitions() > 0 {
         tracing::info!(

@@ -16,7 +16,7 @@ use crate::planning::Planning;
 use crate::target::SavedTarget;
 
 /// Version of the saved form. It rises with each change, and other versions are not read.
-const VERSION: u32 = 2;
+const VERSION: u32 = 3;
 
 /// The state of a core after a frame.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

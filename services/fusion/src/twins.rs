@@ -12,7 +12,8 @@ pub(crate) fn seen_twice<'m>(
     body: &Body,
     markers: impl Iterator<Item = &'m DetectedMarker>,
 ) -> Option<Notice> {
-    let own: Vec<&DetectedMarker> = markers.filter(|marker| marker.is_decoded()).collect();
+    let is_own = |seen: &&DetectedMarker| seen.is_decoded() && body.marker(seen.id).is_some();
+    let own: Vec<&DetectedMarker> = markers.filter(is_own).collect();
     own.iter().enumerate().find_map(|(k, one)| {
         let marker = body.marker(one.id)?;
         let width_in_sides = 2.0 * body.radius() / marker.side();

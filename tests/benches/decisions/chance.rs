@@ -55,7 +55,7 @@ impl Chance {
         PoseEstimate { camera_from_markers, covariance }
     }
 
-    /// A normally distributed number: the sum of twelve even ones.
+    /// A normally distributed number: the sum of twelve evenly distributed ones.
     fn normal(&mut self) -> f64 {
         (0..12).map(|_| self.share()).sum::<f64>() - 6.0
     }

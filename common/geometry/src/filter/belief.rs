@@ -2,8 +2,8 @@
 //! right one instead.
 //!
 //! A frame may show two poses that explain it almost equally well, or one that contradicts the
-//! track. Each is filtered as a hypothesis of its own (multiple hypothesis tracking: Blackman,
-//! "Multiple Hypothesis Tracking for Multiple Target Tracking", 2004), until evidence decides.
+//! track. Each is filtered as a branch of its own (multiple hypothesis tracking: Blackman,
+//! "Multiple Branch Tracking for Multiple Target Tracking", 2004), until evidence decides.
 
 use std::sync::LazyLock;
 
@@ -32,68 +32,68 @@ fn gate_lead() -> f64 {
     -(1.0 - GATE_PROBABILITY).ln()
 }
 
-/// Largest number of hypotheses: the two poses of a flat marker, and another place.
-const HYPOTHESES: usize = 3;
+/// Largest number of branches: the two poses of a flat marker, and another place.
+const BRANCHES: usize = 3;
 
 /// Belief in one neighbour after a frame.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct Belief {
-    pub(super) best: Hypothesis,
+    pub(super) best: Branch,
     /// The likeliest first.
-    rivals: Vec<Rival>,
+    pub(super) rivals: Vec<Rival>,
     state: TrackState,
 }
 
 /// One track that a neighbour may have.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub(super) struct Hypothesis {
+pub(super) struct Branch {
     pub(super) track: MotionEstimate,
     /// One bit for each frame, the newest lowest: 1 for an accepted measurement.
     hits: u64,
     pub(super) started_s: f64,
 }
 
-/// A hypothesis that is less likely than the best one.
+/// A branch that is less likely than the best one.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-struct Rival {
-    hypothesis: Hypothesis,
-    odds: Odds,
+pub(super) struct Rival {
+    pub(super) branch: Branch,
+    pub(super) odds: Odds,
 }
 
-/// Log odds of the best hypothesis against its rival, or of a frame's first pose against a second.
+/// Log odds of the best branch against a rival.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
-struct Odds {
-    /// From the pictures. Frames in a row share their errors (blur, light, calibration), so the
-    /// strongest of them counts, not their sum.
-    picture: f64,
-    /// From measurements that passed the gate of one hypothesis only.
+pub(super) struct Odds {
+    /// From what single frames said of both. Frames in a row share their errors (blur, light,
+    /// calibration), so the strongest of them counts, not their sum.
+    pub(super) frame: f64,
+    /// From measurements that passed the gate of one branch only.
     gate: f64,
 }
 
 impl Odds {
     fn lead(self) -> f64 {
-        self.picture + self.gate
+        self.frame + self.gate
     }
 
-    /// These odds after a frame whose picture gives `picture`.
-    fn with_picture(self, picture: f64) -> Self {
-        let is_stronger = picture.abs() > self.picture.abs();
-        Self { picture: if is_stronger { picture } else { self.picture }, ..self }
+    /// These odds after a frame that says `frame` of the same two.
+    fn after(self, frame: f64) -> Self {
+        let is_stronger = frame.abs() > self.frame.abs();
+        Self { frame: if is_stronger { frame } else { self.frame }, ..self }
     }
 
     fn less(self, other: Self) -> Self {
-        Self { picture: self.picture - other.picture, gate: self.gate - other.gate }
+        Self { frame: self.frame - other.frame, gate: self.gate - other.gate }
     }
 }
 
 impl Rival {
-    /// Whether the best hypothesis does not lead by enough to exclude this one.
+    /// Whether the best branch does not lead by enough to exclude this one.
     fn is_possible(&self) -> bool {
         self.odds.lead() < least_lead()
     }
 }
 
-impl Hypothesis {
+impl Branch {
     fn start(stamp_s: f64, pose: &PoseEstimate, motion: &MotionModel) -> Result<Self, FilterError> {
         let track = MotionEstimate::start(stamp_s, pose, motion)?;
         Ok(Self { track, hits: 1, started_s: stamp_s })
@@ -108,7 +108,7 @@ impl Hypothesis {
         self.hits & 1 == 1
     }
 
-    /// Whether the two hypotheses differ: one is false if the other is true, or the frame supports
+    /// Whether the two branches differ: one is false if the other is true, or the frame supports
     /// only one of them.
     fn differs_from(&self, other: &Self) -> bool {
         is_false(&self.track.camera_from_markers, &other.track.camera_from_markers)
@@ -133,10 +133,10 @@ impl Belief {
         measured: &FrameMeasurement,
         policy: &TrackPolicy,
     ) -> Result<Self, FilterError> {
-        let start = |pose: &PoseEstimate| Hypothesis::start(stamp_s, pose, &policy.motion);
+        let start = |pose: &PoseEstimate| Branch::start(stamp_s, pose, &policy.motion);
         let rival = |RivalPose { pose, lead }: &RivalPose| {
-            let odds = Odds { picture: *lead, gate: 0.0 };
-            Ok(Rival { hypothesis: start(pose)?, odds })
+            let odds = Odds { frame: *lead, gate: 0.0 };
+            Ok(Rival { branch: start(pose)?, odds })
         };
         let best = start(&measured.pose)?;
         let rivals = measured.rival.iter().map(rival).collect::<Result<_, _>>()?;
@@ -148,17 +148,17 @@ impl Belief {
         self.state
     }
 
-    /// Time of the best hypothesis's first measurement, seconds.
+    /// Time of the best branch's first measurement, seconds.
     pub(super) fn started_s(&self) -> f64 {
         self.best.started_s
     }
 
-    /// Time of the best hypothesis's last accepted measurement, seconds.
+    /// Time of the best branch's last accepted measurement, seconds.
     pub(super) fn last_seen_s(&self) -> f64 {
         self.best.track.stamp_s
     }
 
-    /// The best hypothesis of a track that is not lost.
+    /// The best branch of a track that is not lost.
     pub(super) fn alive(&self) -> Option<&MotionEstimate> {
         (self.state != TrackState::Lost).then_some(&self.best.track)
     }
@@ -171,7 +171,7 @@ impl Belief {
         self.best.hits.trailing_zeros() >= STALE_AFTER_FRAMES
     }
 
-    /// The rival at a time, if the best hypothesis does not lead by enough to exclude it.
+    /// The rival at a time, if the best branch does not lead by enough to exclude it.
     pub(super) fn predict_rival(
         &self,
         at_s: f64,
@@ -180,8 +180,8 @@ impl Belief {
     ) -> Option<RivalPose> {
         let best = self.alive()?.predict(at_s, motion, ego).ok()?;
         let possible = self.rivals.iter().filter(|rival| rival.is_possible());
-        let mut poses = possible.filter_map(|Rival { hypothesis, odds }| {
-            let pose = hypothesis.track.predict(at_s, motion, ego).ok()?.pose();
+        let mut poses = possible.filter_map(|Rival { branch, odds }| {
+            let pose = branch.track.predict(at_s, motion, ego).ok()?.pose();
             Some(RivalPose { pose, lead: odds.lead() })
         });
         poses.find(|RivalPose { pose, .. }| {
@@ -189,69 +189,81 @@ impl Belief {
         })
     }
 
-    /// Handles a measurement at `stamp_s`.
+    /// Handles a measurement at `stamp_s`. Returns its effect, and whether it passes the gate of the
+    /// best branch or of a possible rival.
     pub(super) fn measured(
         belief: &mut Option<Self>,
         stamp_s: f64,
         measured: &FrameMeasurement,
         policy: &TrackPolicy,
         ego: &EgoRotation,
-    ) -> Result<Happened, FilterError> {
+    ) -> Result<(Happened, bool), FilterError> {
         let fresh = Self::begin(stamp_s, measured, policy)?;
         let follows = |belief: &Self| stamp_s - belief.last_seen_s() <= policy.coast_s;
         let known = belief.as_mut().filter(|known| known.alive().is_some() && follows(known));
         let Some(known) = known else {
             *belief = Some(fresh);
-            return Ok(Happened::Started);
+            return Ok((Happened::Started, false));
         };
         let Some(mut updated) = known.updated(stamp_s, measured, policy, ego)? else {
             *known = fresh;
-            return Ok(Happened::Restarted);
+            return Ok((Happened::Restarted, false));
         };
-        if !updated.iter().any(|(_, one)| one.hypothesis.is_hit()) {
-            if known.state == TrackState::Tentative || (measured.is_proven && known.is_stale()) {
-                *known = fresh;
-                return Ok(Happened::Restarted);
-            }
-            // The measurement contradicts all that is known: it may be false, or the track.
-            let odds = Odds { picture: 0.0, gate: 2.0 * gate_lead() };
-            updated.push((HYPOTHESES, Rival { hypothesis: fresh.best, odds }));
+        let is_hit = |(_, one): &(usize, Rival)| one.branch.is_hit();
+        let fits_any = updated.iter().any(is_hit);
+        let fits_best = updated.iter().any(|one| one.0 == 0 && is_hit(one));
+        let possible = 1 + known.rivals.iter().take_while(|rival| rival.is_possible()).count();
+        let fits = updated.iter().any(|one| one.0 < possible && is_hit(one));
+        let is_tentative = known.state == TrackState::Tentative;
+        let replaces_stale = measured.is_proven && known.is_stale();
+        if (!fits_any && is_tentative) || (!fits_best && replaces_stale) {
+            *known = fresh;
+            return Ok((Happened::Restarted, fits));
         }
-        updated.sort_by(|(_, one), (_, other)| one.odds.lead().total_cmp(&other.odds.lead()));
-        let mut kept: Vec<Rival> = Vec::new();
-        let mut best_before = 0;
-        for (before, Rival { hypothesis, odds }) in updated {
-            let best = kept.first().map_or(odds, |best| best.odds);
-            let is_likely = odds.less(best).lead() <= gate_lead() + 1e-9;
-            let is_new = kept.iter().all(|other| hypothesis.differs_from(&other.hypothesis));
-            if kept.is_empty() {
-                best_before = before;
-            }
-            if is_likely && is_new && kept.len() < HYPOTHESES {
-                kept.push(Rival { hypothesis, odds });
-            }
+        if !fits_any {
+            // The measurement contradicts all that is known: it may be false, or the track. All
+            // branches have lost `gate_lead` in this frame already.
+            let behind = |odds: Odds| Odds { gate: odds.gate + 2.0 * gate_lead(), ..odds };
+            let best = Rival { branch: fresh.best, odds: Odds::default() };
+            let new = [best].into_iter().chain(fresh.rivals);
+            updated.extend(
+                new.map(|Rival { branch, odds }| (BRANCHES, Rival { branch, odds: behind(odds) })),
+            );
         }
-        let mut kept = kept.into_iter();
-        // There is one result at least for each hypothesis before.
-        let Some(Rival { hypothesis: best, odds }) = kept.next() else {
-            return Ok(Happened::Gated);
-        };
-        let is_replaced = best_before > 0;
-        let before = if is_replaced { TrackState::Tentative } else { known.state };
-        let is_hit = best.is_hit();
-        known.state = Self::state_of(before, best.hits, policy);
-        known.best = best;
-        known.rivals = kept.map(|rival| Rival { odds: rival.odds.less(odds), ..rival }).collect();
-        Ok(match (is_replaced, is_hit) {
+        let is_replaced = known.keep_likeliest(updated, policy);
+        let happened = match (is_replaced, known.best.is_hit()) {
             (true, _) => Happened::Restarted,
             (false, true) => Happened::Updated,
             (false, false) => Happened::Gated,
-        })
+        };
+        Ok((happened, fits))
     }
 
-    /// Each hypothesis, by its place among those before the frame, with each pose of a measurement
-    /// that passes its gate, and as unseen where none does. The odds are against the best one
-    /// before. `None` if that is too old for an update.
+    /// Keeps the likeliest of the branches after a frame, at most [`BRANCHES`], and the state that
+    /// follows. Each has its place before the frame. Returns whether another one is the best now.
+    fn keep_likeliest(&mut self, mut updated: Vec<(usize, Rival)>, policy: &TrackPolicy) -> bool {
+        updated.sort_by(|(_, one), (_, other)| one.odds.lead().total_cmp(&other.odds.lead()));
+        let mut updated = updated.into_iter();
+        // There is one result at least for each branch before.
+        let Some((before, Rival { branch: best, odds })) = updated.next() else { return false };
+        let mut rivals: Vec<Rival> = Vec::new();
+        for (_, Rival { branch, odds: against }) in updated {
+            let odds = against.less(odds);
+            let known = [&best].into_iter().chain(rivals.iter().map(|rival| &rival.branch));
+            let is_new = known.into_iter().all(|other| branch.differs_from(other));
+            if is_new && odds.gate <= gate_lead() + 1e-9 && rivals.len() + 1 < BRANCHES {
+                rivals.push(Rival { branch, odds });
+            }
+        }
+        let state = if before > 0 { TrackState::Tentative } else { self.state };
+        let state = Self::state_of(state, best.hits, policy);
+        *self = Self { best, rivals, state };
+        before > 0
+    }
+
+    /// Each branch with each pose of a measurement that passes its gate, with its place before the
+    /// frame. A branch whose gate none passes is unseen. The odds are those of the branch that was
+    /// the best. `None` if that is too old for an update.
     fn updated(
         &self,
         stamp_s: f64,
@@ -259,20 +271,25 @@ impl Belief {
         policy: &TrackPolicy,
         ego: &EgoRotation,
     ) -> Result<Option<Vec<(usize, Rival)>>, FilterError> {
-        let rivals = self.rivals.iter().map(|rival| (&rival.hypothesis, rival.odds));
-        let hypotheses = [(&self.best, Odds::default())].into_iter().chain(rivals);
+        let rivals = self.rivals.iter().map(|rival| (&rival.branch, rival.odds));
+        let branches = [(&self.best, Odds::default())].into_iter().chain(rivals);
         let second = measured.rival.as_ref().map(|rival| (&rival.pose, rival.lead));
         let mut updated = Vec::new();
-        for (before, (known, odds)) in hypotheses.enumerate() {
+        // What the frame says of the pose that the best branch has there.
+        let mut of_best = None;
+        for (before, (known, odds)) in branches.enumerate() {
             let mut is_matched = false;
-            for (pose, picture) in [(&measured.pose, 0.0)].into_iter().chain(second) {
-                let mut hypothesis = known.clone();
-                match hypothesis.track.update(stamp_s, pose, *GATE, &policy.motion, ego) {
+            for (pose, behind) in [(&measured.pose, 0.0)].into_iter().chain(second) {
+                let mut branch = known.clone();
+                match branch.track.update(stamp_s, pose, *GATE, &policy.motion, ego) {
                     Ok(_) => {
                         is_matched = true;
-                        hypothesis.count(true);
-                        let odds = odds.with_picture(picture);
-                        updated.push((before, Rival { hypothesis, odds }));
+                        branch.count(true);
+                        if before == 0 {
+                            of_best.get_or_insert(behind);
+                        }
+                        let odds = of_best.map_or(odds, |of_best| odds.after(behind - of_best));
+                        updated.push((before, Rival { branch, odds }));
                     }
                     Err(FilterError::Gated { .. }) => {}
                     Err(FilterError::Gap { .. }) if before == 0 => return Ok(None),
@@ -281,10 +298,10 @@ impl Belief {
                 }
             }
             if !is_matched {
-                let mut hypothesis = known.clone();
-                hypothesis.count(false);
+                let mut branch = known.clone();
+                branch.count(false);
                 let odds = Odds { gate: odds.gate + gate_lead(), ..odds };
-                updated.push((before, Rival { hypothesis, odds }));
+                updated.push((before, Rival { branch, odds }));
             }
         }
         Ok(Some(updated))
@@ -297,7 +314,7 @@ impl Belief {
             return;
         }
         self.best.count(false);
-        self.rivals.iter_mut().for_each(|rival| rival.hypothesis.count(false));
+        self.rivals.iter_mut().for_each(|rival| rival.branch.count(false));
         self.state = Self::state_of(self.state, self.best.hits, policy);
     }
 
@@ -320,9 +337,9 @@ impl Belief {
     /// [`FilterError::Unusable`].
     pub(super) fn check(&self) -> Result<(), FilterError> {
         self.best.check()?;
-        self.rivals.iter().try_for_each(|Rival { hypothesis, odds }| match odds.lead().is_nan() {
+        self.rivals.iter().try_for_each(|Rival { branch, odds }| match odds.lead().is_nan() {
             true => Err(FilterError::Unusable { what: "lead" }),
-            false => hypothesis.check(),
+            false => branch.check(),
         })
     }
 }

@@ -27,6 +27,7 @@ pub enum TrackState {
 
 /// Largest delay of a frame after newer ones with which it is still sorted in, seconds.
 pub const HISTORY_S: f64 = 0.5;
+
 /// Conditions under which a track is confirmed and lost.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TrackPolicy {
@@ -190,22 +191,23 @@ impl LifeCycle {
             self.forget();
         }
         let (place, mut event) = self.placed(stamp_s, Some(*measured));
-        let happened = Belief::measured(&mut event.after, stamp_s, measured, &self.policy, ego)?;
+        let (happened, _) =
+            Belief::measured(&mut event.after, stamp_s, measured, &self.policy, ego)?;
         self.insert(place, event, ego);
         Ok(if jumped { Happened::Restarted } else { happened })
     }
 
-    /// Whether the track would accept a measurement at `stamp_s`: it lies inside the gate, or it is
-    /// proven and the track begins anew from it.
+    /// Whether the track would accept a measurement at `stamp_s`: it lies inside the gate of a branch,
+    /// or it is proven and the track begins anew from it.
     pub fn accepts(&self, stamp_s: f64, measured: &FrameMeasurement, ego: &EgoRotation) -> bool {
         if self.too_late(stamp_s).is_some() {
             return false;
         }
         let (_, HistoryEntry { mut after, .. }) = self.placed(stamp_s, Some(*measured));
         match Belief::measured(&mut after, stamp_s, measured, &self.policy, ego) {
-            Ok(Happened::Updated) => true,
-            Ok(Happened::Restarted) => measured.is_proven,
-            Ok(Happened::Started | Happened::Gated) | Err(_) => false,
+            Ok((Happened::Restarted, fits)) => fits || measured.is_proven,
+            Ok((_, fits)) => fits,
+            Err(_) => false,
         }
     }
 

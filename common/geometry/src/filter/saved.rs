@@ -69,12 +69,15 @@ impl SavedLife {
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used, clippy::expect_used)]
-    use nalgebra::{Isometry3, Matrix6};
+    use nalgebra::{Isometry3, Matrix6, UnitQuaternion};
 
     use super::*;
     use crate::filter::TrackPolicy;
-    use crate::filter::belief::Hypothesis;
     use crate::pose::PoseEstimate;
+
+    fn spoiled(saved: &mut SavedLife) -> &mut FrameMeasurement {
+        saved.said[3].1.as_mut().unwrap()
+    }
 
     #[test]
     fn a_track_with_numbers_that_are_not_finite_is_refused() {
@@ -84,25 +87,33 @@ mod tests {
             camera_from_markers: Isometry3::translation(1.0, 0.0, 0.0),
             covariance: Matrix6::identity() * 1e-4,
         };
-        let measured = FrameMeasurement { pose, rival: None, is_proven: false };
+        let mut mirrored = pose;
+        mirrored.camera_from_markers.rotation = UnitQuaternion::from_euler_angles(0.8, 0.0, 0.0);
+        let rival = Some(RivalPose { pose: mirrored, lead: 1.0 });
+        let measured = FrameMeasurement { pose, rival, is_proven: false };
         for k in 0..30 {
             known.measured(f64::from(k) / 30.0, &measured, &ego).unwrap();
         }
-        type Spoil = fn(&mut SavedLife, &mut Hypothesis);
-        let spoil: [(&str, Spoil); 7] = [
-            ("time", |_, best| best.track.stamp_s = f64::NAN),
-            ("velocity", |_, best| best.track.velocity.y = f64::INFINITY),
-            ("covariance of the rate", |_, best| best.track.covariance[(9, 9)] = f64::NAN),
-            ("covariance of the pose", |_, best| best.track.covariance[(0, 0)] = -1.0),
-            ("start", |_, best| best.started_s = f64::NAN),
+        type Spoil = fn(&mut SavedLife, &mut Belief);
+        let spoil: [(&str, Spoil); 11] = [
+            ("time", |_, base| base.best.track.stamp_s = f64::NAN),
+            ("velocity", |_, base| base.best.track.velocity.y = f64::INFINITY),
+            ("covariance of the rate", |_, base| base.best.track.covariance[(9, 9)] = f64::NAN),
+            ("covariance of the pose", |_, base| base.best.track.covariance[(0, 0)] = -1.0),
+            ("start", |_, base| base.best.started_s = f64::NAN),
             ("order", |saved, _| saved.said[3].0 = 1e9),
-            ("measurement", |saved, _| saved.said[3].1.as_mut().unwrap().pose.covariance *= -1.0),
+            ("measurement", |saved, _| spoiled(saved).pose.covariance *= -1.0),
+            ("rival", |saved, _| spoiled(saved).rival.as_mut().unwrap().pose.covariance *= -1.0),
+            ("lead", |saved, _| spoiled(saved).rival.as_mut().unwrap().lead = f64::NAN),
+            ("rival's track", |_, base| base.rivals[0].branch.track.rate.x = f64::NAN),
+            ("rival's odds", |_, base| base.rivals[0].odds.frame = f64::NAN),
         ];
         let mut fresh = LifeCycle::new(TrackPolicy::default());
         for (what, spoil) in spoil {
             let mut saved = known.saved();
             let mut base = saved.base.clone().expect("it is older than its history");
-            spoil(&mut saved, &mut base.best);
+            assert_eq!(base.rivals.len(), 1);
+            spoil(&mut saved, &mut base);
             let refused = fresh.resume(SavedLife { base: Some(base), ..saved }, &ego);
             assert!(refused.is_err(), "{what}");
             assert_eq!(fresh.state(), None, "{what}");

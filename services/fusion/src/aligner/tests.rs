@@ -280,12 +280,20 @@ fn a_body_in_a_mirror_is_nowhere() {
         let rotation = UnitQuaternion::from_scaled_axis(turn) * truth.rotation;
         let start = Isometry3::from_parts(truth.translation, rotation);
         for start in [Start::Fine(start), Start::Rough(start)] {
-            let found = initiate(&aligner, &picture, &[start], TimeBudget::Unlimited);
-            assert_eq!(found, None, "axis {axis}, step {step}");
+            let starts = with_sources(&[start]);
+            let budget = TimeBudget::Unlimited;
+            let sought = Sought { target: 0, picture: &picture, starts: &starts, budget };
+            let decision = aligner.initiate(&sought, |_| false, false, &mut Vec::new());
+            assert_eq!(decision.chosen, None, "axis {axis}, step {step}");
             tried += 1;
         }
     }
     assert_eq!(tried, 144);
+    // Without the mirror it is found.
+    with_picture(&truth, |aligner, picture| {
+        let starts = [Start::Rough(truth)];
+        assert!(initiate(aligner, picture, &starts, TimeBudget::Unlimited).is_some());
+    });
 }
 
 /// What was decided of each hypothesis, and the hypotheses.

@@ -33,17 +33,14 @@ impl Outcome {
     /// Outcome of a measurement in an open frame, with the target's estimate after it; `None` if the
     /// filter refused it.
     pub(crate) fn of(measurement: PoseMeasurement, estimate: Option<&TargetEstimate>) -> Self {
-        let Some(estimate) = estimate else {
-            return match measurement.is_precise {
-                true => Self::Refused(measurement),
-                false => Self::OutsideGate(measurement),
-            };
-        };
-        match (estimate.measured, estimate.rival) {
-            (Some(_), _) => Self::Published(measurement),
-            (None, Some(_)) => Self::Ambiguous(measurement),
-            (None, None) if measurement.is_usable_alone() => Self::OutsideGate(measurement),
-            (None, None) => Self::Corrected(measurement),
+        let is_ambiguous = measurement.rival.is_some()
+            || estimate.is_some_and(|estimate| estimate.rival.is_some());
+        match estimate {
+            Some(estimate) if estimate.measured.is_some() => Self::Published(measurement),
+            _ if is_ambiguous => Self::Ambiguous(measurement),
+            None if measurement.is_precise => Self::Refused(measurement),
+            Some(_) if !measurement.is_precise => Self::Corrected(measurement),
+            _ => Self::OutsideGate(measurement),
         }
     }
 

@@ -119,7 +119,7 @@ impl Tracker {
         // A tentative track ends after a few frames.
         let is_urgent = matches!(prior, TrackPrior::Tentative { .. });
         // A pose that is found round one of two predictions says nothing about the other one.
-        (prior.rival().is_none())
+        prior.rival().is_none()
             && (is_urgent || is_search_turn(time.number, target, self.targets.len()))
             && begun.budget != TimeBudget::Overspent
             && (begun.pass == Pass::Complete || begun.is_deferred)

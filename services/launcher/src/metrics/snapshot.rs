@@ -3,7 +3,7 @@
 use std::fmt;
 use std::sync::{Arc, Mutex};
 
-use flockeye_contract::TrackState;
+use flockeye_contract::{AMBIGUOUS, TrackState};
 use flockeye_runtime::health_rates::HealthRates;
 use flockeye_runtime::lock::lock;
 use prometheus_client::collector::Collector;
@@ -22,8 +22,13 @@ use crate::doctor::machine::{frequencies_hz, temperatures_c};
 pub(super) type Labels = Vec<(&'static str, String)>;
 
 /// The states that a track can be shown in.
-const TRACK_STATES: [TrackState; 4] =
-    [TrackState::Tentative, TrackState::Confirmed, TrackState::Coasting, TrackState::Lost];
+const TRACK_STATES: [&str; 5] = [
+    TrackState::Tentative.name(),
+    TrackState::Confirmed.name(),
+    TrackState::Coasting.name(),
+    AMBIGUOUS,
+    TrackState::Lost.name(),
+];
 
 /// A metric: counter, which only rises, or gauge, with its name, meaning and labelled values.
 #[derive(Debug, Clone)]
@@ -142,8 +147,8 @@ fn add_tracks(metrics: &mut Vec<Metric>, dashboard: &Dashboard, now_ns: i64) {
     let of = |name: &str| vec![("target", name.to_owned())];
     let states = report.neighbours.iter().flat_map(|neighbour| {
         TRACK_STATES.map(|state| {
-            let is_it = f64::from(u8::from(neighbour.state == state.name()));
-            let state = vec![("state", state.name().to_owned())];
+            let is_it = f64::from(u8::from(neighbour.state == state));
+            let state = vec![("state", state.to_owned())];
             ([of(&neighbour.name), state].concat(), is_it)
         })
     });

@@ -137,10 +137,9 @@ fn by_outcome(known: &FrameKnowledge) -> Option<(DecisiveStep, String)> {
             DecisiveStep::Imprecise,
             "the pose that was found is too imprecise to be published: it corrected the track",
         )),
-        Outcome::Ambiguous(_) => Some((
-            DecisiveStep::Rivals,
-            "two poses are possible: the track has both, and none is published as measured",
-        )),
+        Outcome::Ambiguous(_) => {
+            Some((DecisiveStep::Rivals, "two poses are possible, so none is published as measured"))
+        }
         Outcome::OutsideGate(_) => Some((
             DecisiveStep::OutsideGate,
             "a pose was found and left out: it is not where the track can be",

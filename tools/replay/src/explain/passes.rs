@@ -241,7 +241,7 @@ fn said(outcome: &Outcome) -> &'static str {
         }
         Outcome::Published(_) => "published as the frame's measurement",
         Outcome::Corrected(_) => "too imprecise to be published: it corrected the track",
-        Outcome::Ambiguous(_) => "not published: another pose is possible, and the track has both",
+        Outcome::Ambiguous(_) => "not published: another pose is possible",
         Outcome::OutsideGate(_) => "left out: it is not where the track can be",
         Outcome::Refused(_) => "left out: the track cannot use it",
         Outcome::Late(_) => {

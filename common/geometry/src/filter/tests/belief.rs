@@ -58,9 +58,39 @@ fn the_clearest_picture_counts() {
     let [pose, mirror] = two_poses(5);
     life.measured(frame(5), &two([mirror, pose], 3.0), &still()).unwrap();
     let (best, lead) = ambiguity(&life, 6).unwrap();
-    assert_eq!((best, lead), (1, 2.0), "3 for the mirror pose, 1 before for the other");
-    life.measured(frame(6), &two(two_poses(6), 4.0), &still()).unwrap();
-    assert_eq!(ambiguity(&life, 7).unwrap().0, 0);
+    assert_eq!((best, lead), (1, 3.0), "the frames before said less");
+    for k in 6..30 {
+        life.measured(frame(k), &two(two_poses(k), 1.0), &still()).unwrap();
+        assert_eq!(ambiguity(&life, k + 1), Some((1, 3.0)), "weak frames do not add up");
+    }
+    life.measured(frame(30), &two(two_poses(30), 4.0), &still()).unwrap();
+    assert_eq!(ambiguity(&life, 31), Some((0, 4.0)));
+}
+
+/// A marker comes into sight far from where the track predicts it.
+#[test]
+fn two_poses_that_contradict_a_track_stay_two_when_they_replace_it() {
+    let mut life = life();
+    let before = Isometry3::translation(-5.0, 0.0, 0.0);
+    (0..10).for_each(|k| {
+        let _ = life.measured(frame(k), &one(before), &still()).unwrap();
+    });
+    for k in 10..20 {
+        life.measured(frame(k), &two(two_poses(k), 1.0), &still()).unwrap();
+        assert_eq!(life.accepts(frame(k), &one(two_poses(k)[1]), &still()), k > 10);
+    }
+    assert_eq!(ambiguity(&life, 20), Some((0, 1.0)));
+}
+
+/// Late or imprecise measurements may support a rival as well as the best branch.
+#[test]
+fn a_measurement_of_either_pose_is_accepted() {
+    let life = ambiguous(5);
+    for pose in two_poses(5) {
+        assert!(life.accepts(frame(5), &one(pose), &still()));
+    }
+    let elsewhere = one(Isometry3::translation(-5.0, 0.0, 0.0));
+    assert!(!life.accepts(frame(5), &elsewhere, &still()));
 }
 
 #[test]

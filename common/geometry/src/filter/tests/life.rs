@@ -62,6 +62,11 @@ fn a_stale_track_begins_anew_from_a_proven_pose() {
         let expected = if is_stale { Happened::Restarted } else { Happened::Gated };
         assert_eq!(life.accepts(now, &proven, &still()), is_stale, "{unseen}");
         assert_eq!(life.measured(now, &proven, &still()).unwrap(), expected, "{unseen}");
+        // What contradicted the track once does not protect it.
+        if is_stale {
+            let next = gated.measured(frame(6 + unseen), &proven, &still()).unwrap();
+            assert_eq!(next, Happened::Restarted);
+        }
     }
 }
 
@@ -89,7 +94,7 @@ fn a_wrong_track_begins_anew_from_what_contradicts_it() {
         assert!(matches!(happened, Happened::Gated));
         assert_eq!(life.state(), Some(TrackState::Coasting));
     }
-    assert!(!life.accepts(frame(7), &found(other), &still()), "it would begin anew");
+    assert!(life.accepts(frame(7), &found(other), &still()), "the track is ambiguous now");
     assert_eq!(life.measured(frame(7), &found(other), &still()).unwrap(), Happened::Restarted);
     assert_eq!(life.state(), Some(TrackState::Confirmed), "it was measured three times");
     let track = life.track().unwrap();
