@@ -133,7 +133,8 @@ impl LifeCycle {
         self.belief().and_then(Belief::alive)
     }
 
-    /// Whether the track had no accepted measurement in the last [`STALE_AFTER_FRAMES`] frames.
+    /// Whether the track had no accepted measurement in the last
+    /// [`STALE_AFTER_FRAMES`](super::STALE_AFTER_FRAMES) frames.
     pub fn is_stale(&self) -> bool {
         self.belief().is_some_and(Belief::is_stale)
     }
