@@ -54,10 +54,11 @@ class Report:
     covariance: tuple
     linear_velocity: tuple
     angular_velocity: tuple
-    # This frame's own measurement, another pose that is possible (the track is ambiguous), the pose predicted to the
-    # sending, and the directions in which next to nothing is known, each as in the JSON; None where it is not said.
+    # Each as in the JSON; None where it is not said. First this frame's own measurement.
     measured: dict | None
+    # Another pose that is possible: the track is ambiguous.
     rival: dict | None
+    # The pose predicted to the sending, and the directions in which next to nothing is known.
     predicted: dict | None
     degenerate: dict | None
     stamp_utc_ns: int

@@ -142,7 +142,7 @@ pub struct Rival {
     pub position: [f64; 3],
     /// As [`TargetReport::orientation`].
     pub orientation: [f64; 4],
-    /// Of this pose alone, as [`TargetReport::covariance`].
+    /// Covariance of this pose alone, as [`TargetReport::covariance`].
     pub covariance: [f64; 21],
     /// Log odds of the filtered pose against this one, at least 0. Its probability is 1 / (1 + e^lead).
     pub lead: f64,

@@ -3,7 +3,7 @@
 //!
 //! A frame may show two poses that explain it almost equally well, or one that contradicts the
 //! track. Each is filtered as a branch of its own (multiple hypothesis tracking: Blackman,
-//! "Multiple Branch Tracking for Multiple Target Tracking", 2004), until evidence decides.
+//! "Multiple Hypothesis Tracking for Multiple Target Tracking", 2004), until evidence decides.
 
 use std::sync::LazyLock;
 
@@ -59,6 +59,9 @@ pub(super) struct Rival {
     pub(super) branch: Branch,
     pub(super) odds: Odds,
 }
+
+/// A branch after a frame, with its place before: 0 for the best one, `None` for a new one.
+type Updated = (Option<usize>, Rival);
 
 /// Log odds of the best branch against a rival.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
@@ -209,11 +212,12 @@ impl Belief {
             *known = fresh;
             return Ok((Happened::Restarted, false));
         };
-        let is_hit = |(_, one): &(usize, Rival)| one.branch.is_hit();
+        let is_hit = |(_, one): &Updated| one.branch.is_hit();
         let fits_any = updated.iter().any(is_hit);
-        let fits_best = updated.iter().any(|one| one.0 == 0 && is_hit(one));
+        let fits_best = updated.iter().any(|one| one.0 == Some(0) && is_hit(one));
         let possible = 1 + known.rivals.iter().take_while(|rival| rival.is_possible()).count();
-        let fits = updated.iter().any(|one| one.0 < possible && is_hit(one));
+        let fits =
+            updated.iter().any(|one| one.0.is_some_and(|before| before < possible) && is_hit(one));
         let is_tentative = known.state == TrackState::Tentative;
         let replaces_stale = measured.is_proven && known.is_stale();
         if (!fits_any && is_tentative) || (!fits_best && replaces_stale) {
@@ -227,7 +231,7 @@ impl Belief {
             let best = Rival { branch: fresh.best, odds: Odds::default() };
             let new = [best].into_iter().chain(fresh.rivals);
             updated.extend(
-                new.map(|Rival { branch, odds }| (BRANCHES, Rival { branch, odds: behind(odds) })),
+                new.map(|Rival { branch, odds }| (None, Rival { branch, odds: behind(odds) })),
             );
         }
         let is_replaced = known.keep_likeliest(updated, policy);
@@ -240,8 +244,8 @@ impl Belief {
     }
 
     /// Keeps the likeliest of the branches after a frame, at most [`BRANCHES`], and the state that
-    /// follows. Each has its place before the frame. Returns whether another one is the best now.
-    fn keep_likeliest(&mut self, mut updated: Vec<(usize, Rival)>, policy: &TrackPolicy) -> bool {
+    /// follows. Returns whether another one is the best now.
+    fn keep_likeliest(&mut self, mut updated: Vec<Updated>, policy: &TrackPolicy) -> bool {
         updated.sort_by(|(_, one), (_, other)| one.odds.lead().total_cmp(&other.odds.lead()));
         let mut updated = updated.into_iter();
         // There is one result at least for each branch before.
@@ -255,22 +259,23 @@ impl Belief {
                 rivals.push(Rival { branch, odds });
             }
         }
-        let state = if before > 0 { TrackState::Tentative } else { self.state };
+        let is_replaced = before != Some(0);
+        let state = if is_replaced { TrackState::Tentative } else { self.state };
         let state = Self::state_of(state, best.hits, policy);
         *self = Self { best, rivals, state };
-        before > 0
+        is_replaced
     }
 
-    /// Each branch with each pose of a measurement that passes its gate, with its place before the
-    /// frame. A branch whose gate none passes is unseen. The odds are those of the branch that was
-    /// the best. `None` if that is too old for an update.
+    /// Each branch, updated with each pose of a measurement that passes its gate. A branch whose gate
+    /// none passes is unseen. The odds are those of the branch that was the best. `None` if that is
+    /// too old for an update.
     fn updated(
         &self,
         stamp_s: f64,
         measured: &FrameMeasurement,
         policy: &TrackPolicy,
         ego: &EgoRotation,
-    ) -> Result<Option<Vec<(usize, Rival)>>, FilterError> {
+    ) -> Result<Option<Vec<Updated>>, FilterError> {
         let rivals = self.rivals.iter().map(|rival| (&rival.branch, rival.odds));
         let branches = [(&self.best, Odds::default())].into_iter().chain(rivals);
         let second = measured.rival.as_ref().map(|rival| (&rival.pose, rival.lead));
@@ -289,7 +294,7 @@ impl Belief {
                             of_best.get_or_insert(behind);
                         }
                         let odds = of_best.map_or(odds, |of_best| odds.after(behind - of_best));
-                        updated.push((before, Rival { branch, odds }));
+                        updated.push((Some(before), Rival { branch, odds }));
                     }
                     Err(FilterError::Gated { .. }) => {}
                     Err(FilterError::Gap { .. }) if before == 0 => return Ok(None),
@@ -301,7 +306,7 @@ impl Belief {
                 let mut branch = known.clone();
                 branch.count(false);
                 let odds = Odds { gate: odds.gate + gate_lead(), ..odds };
-                updated.push((before, Rival { branch, odds }));
+                updated.push((Some(before), Rival { branch, odds }));
             }
         }
         Ok(Some(updated))
@@ -337,9 +342,9 @@ impl Belief {
     /// [`FilterError::Unusable`].
     pub(super) fn check(&self) -> Result<(), FilterError> {
         self.best.check()?;
-        self.rivals.iter().try_for_each(|Rival { branch, odds }| match odds.lead().is_nan() {
-            true => Err(FilterError::Unusable { what: "lead" }),
-            false => branch.check(),
+        self.rivals.iter().try_for_each(|Rival { branch, odds }| match odds.lead().is_finite() {
+            false => Err(FilterError::Unusable { what: "lead" }),
+            true => branch.check(),
         })
     }
 }

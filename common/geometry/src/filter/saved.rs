@@ -50,9 +50,9 @@ impl SavedLife {
             match measured {
                 Some(FrameMeasurement { pose, rival, .. }) => {
                     check(*stamp_s, pose)?;
-                    rival.map_or(Ok(()), |RivalPose { pose, lead }| match lead.is_nan() {
-                        true => Err(FilterError::Unusable { what: "lead" }),
-                        false => check(*stamp_s, &pose),
+                    rival.map_or(Ok(()), |RivalPose { pose, lead }| match lead.is_finite() {
+                        false => Err(FilterError::Unusable { what: "lead" }),
+                        true => check(*stamp_s, &pose),
                     })?;
                 }
                 None if stamp_s.is_finite() => {}

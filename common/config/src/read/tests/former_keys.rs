@@ -1,7 +1,10 @@
 //! Keys and combinations of the release before.
 
 use super::*;
+use flockeye_geometry::ego_rotation::EgoRotation;
 use flockeye_geometry::filter;
+use flockeye_geometry::pose::PoseEstimate;
+use nalgebra::{Isometry3, Matrix6};
 
 /// Every combination of the keys that `profile` replaced, with what it means today.
 #[test]
@@ -106,6 +109,25 @@ fn keys_that_are_constants_now_are_read_with_their_values_and_refused_with_other
     );
 }
 
+/// Number of measurements in a row that replace a track which they contradict.
+fn contradictions_until_restart() -> f64 {
+    let found = |x_m: f64| filter::FrameMeasurement {
+        pose: PoseEstimate {
+            camera_from_markers: Isometry3::translation(x_m, 0.0, 0.0),
+            covariance: Matrix6::identity() * 1e-4,
+        },
+        rival: None,
+        is_proven: false,
+    };
+    let ego = EgoRotation::new(2.0);
+    let mut life = filter::LifeCycle::new(filter::TrackPolicy::default());
+    let mut tell =
+        |frame: i32, x_m: f64| life.measured(f64::from(frame) / 30.0, &found(x_m), &ego).unwrap();
+    (0..5).for_each(|frame| drop(tell(frame, 1.0)));
+    let restart = (5..15).position(|frame| tell(frame, -1.0) == filter::Happened::Restarted);
+    restart.unwrap() as f64 + 1.0
+}
+
 #[test]
 fn what_constants_a_former_key_names_is_what_the_code_has() {
     let costs = Costs::default();
@@ -126,8 +148,7 @@ fn what_constants_a_former_key_names_is_what_the_code_has() {
         f64::from(filter::CONFIRM_WINDOW),
         filter::HISTORY_S,
         filter::GATE_PROBABILITY,
-        // Three contradictions in a row outweigh a track: tested in geometry's `filter`.
-        3.0,
+        contradictions_until_restart(),
         flockeye_geometry::partition::STORED_SEED as f64,
         0.8,
         policy.motion.angular_acceleration,
