@@ -1,7 +1,7 @@
 //! Markers that contradict each other.
 
 use flockeye_geometry::Ray;
-use flockeye_geometry::body::{Bodies, Body, Marker};
+use flockeye_geometry::body::{Bodies, Body};
 
 use crate::detector::MarkerInView;
 
@@ -56,7 +56,7 @@ fn contradict(a: &MarkerInView, b: &MarkerInView, bodies: &Bodies) -> bool {
         return true;
     }
     let (near, far) = {
-        let ranges = [range(a, &first), range(b, &second)];
+        let ranges = [first.range_m(&a.rays_in_camera), second.range_m(&b.rays_in_camera)];
         (ranges[0].min(ranges[1]), ranges[0].max(ranges[1]))
     };
     let apart = (first.centre() - second.centre()).norm();
@@ -64,13 +64,6 @@ fn contradict(a: &MarkerInView, b: &MarkerInView, bodies: &Bodies) -> bool {
     let angle = central_ray(a).angle(&central_ray(b));
     far - near > apart + slack
         || near * angle.sin().abs() > apart * (1.0 + RANGE_ERROR) + CENTRE_SLACK * first.side()
-}
-
-/// Range of a marker from its longest side, metres: a tilt shortens that side least.
-fn range(found: &MarkerInView, marker: &Marker) -> f64 {
-    let rays = &found.rays_in_camera;
-    let longest = (0..4).map(|k| rays[k].angle(&rays[(k + 1) % 4])).fold(0.0, f64::max);
-    marker.side() / longest.max(1e-6)
 }
 
 fn central_ray(found: &MarkerInView) -> Ray {
@@ -82,7 +75,7 @@ fn central_ray(found: &MarkerInView) -> Ray {
 mod tests {
     #![allow(clippy::unwrap_used, clippy::expect_used)]
     use super::*;
-    use flockeye_geometry::body::squares;
+    use flockeye_geometry::body::{Marker, squares};
     use flockeye_geometry::view::ViewPixel;
     use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
     use proptest::prelude::*;

@@ -92,7 +92,8 @@ fn own_rays<'m>(body: &Body, markers: impl Iterator<Item = &'m DetectedMarker>) 
     .collect()
 }
 
-fn ray(components: [f64; 3]) -> Ray {
+/// The unit ray of a message's components.
+pub(crate) fn ray(components: [f64; 3]) -> Ray {
     Unit::new_normalize(Vector3::from(components))
 }
 

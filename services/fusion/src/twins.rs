@@ -1,9 +1,11 @@
 //! Two bodies that carry the same markers.
 
 use flockeye_contract::DetectedMarker;
+use flockeye_geometry::Ray;
 use flockeye_geometry::body::Body;
 use nalgebra::Vector3;
 
+use crate::measurement::ray;
 use crate::notices::Notice;
 
 /// A notice if a frame shows one marker of `body` at two places that are farther apart than the body
@@ -14,28 +16,20 @@ pub(crate) fn seen_twice<'m>(
 ) -> Option<Notice> {
     let is_own = |seen: &&DetectedMarker| seen.is_decoded() && body.marker(seen.id).is_some();
     let own: Vec<&DetectedMarker> = markers.filter(is_own).collect();
+    let middle = |rays: &[Ray; 4]| rays.iter().map(|ray| ray.into_inner()).sum::<Vector3<f64>>();
     own.iter().enumerate().find_map(|(k, one)| {
         let marker = body.marker(one.id)?;
-        let width_in_sides = 2.0 * body.radius() / marker.side();
-        let width_rad = |seen: &DetectedMarker| width_in_sides * side_rad(seen);
-        let apart_rad = own[k + 1..]
-            .iter()
-            .filter(|other| other.id == one.id)
-            .map(|other| (middle(one).angle(&middle(other)), width_rad(one).max(width_rad(other))))
-            .find_map(|(apart_rad, width_rad)| (apart_rad > width_rad).then_some(apart_rad))?;
+        let rays_of = |seen: &DetectedMarker| seen.rays_in_camera.map(ray);
+        let rays = rays_of(one);
+        let same = own[k + 1..].iter().filter(|other| other.id == one.id);
+        let apart_rad = same.map(|other| rays_of(other)).find_map(|others| {
+            let apart_rad = middle(&rays).angle(&middle(&others));
+            let nearest_m = marker.range_m(&rays).min(marker.range_m(&others));
+            (apart_rad > 2.0 * body.radius() / nearest_m).then_some(apart_rad)
+        })?;
         let apart_deg = apart_rad.to_degrees().round() as u32;
         Some(Notice::SeenTwice { body: body.name.clone(), marker: one.id, apart_deg })
     })
-}
-
-fn middle(seen: &DetectedMarker) -> Vector3<f64> {
-    seen.rays_in_camera.iter().map(|ray| Vector3::from(*ray)).sum()
-}
-
-/// Angle of a marker's longest side, which a tilt shortens least.
-fn side_rad(seen: &DetectedMarker) -> f64 {
-    let rays = seen.rays_in_camera.map(Vector3::from);
-    (0..4).map(|k| rays[k].angle(&rays[(k + 1) % 4])).fold(0.0, f64::max)
 }
 
 #[cfg(test)]

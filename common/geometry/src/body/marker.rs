@@ -1,5 +1,6 @@
 //! One marker of a body.
 
+use crate::Ray;
 use nalgebra::{Isometry3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
 
 /// Side of a marker's white facet where the file states none, in sides of the black square.
@@ -35,6 +36,13 @@ impl Marker {
     /// Mean length of a side, metres.
     pub fn side(&self) -> f64 {
         (0..4).map(|k| (self.corners[(k + 1) % 4] - self.corners[k]).norm()).sum::<f64>() / 4.0
+    }
+
+    /// Range of the marker with its corners on these rays, metres, from its longest side: a tilt
+    /// shortens that side least.
+    pub fn range_m(&self, rays: &[Ray; 4]) -> f64 {
+        let longest = (0..4).map(|k| rays[k].angle(&rays[(k + 1) % 4])).fold(0.0, f64::max);
+        self.side() / longest.max(1e-6)
     }
 
     /// Width of the white margin around the marker where the file states none, metres.

@@ -123,7 +123,9 @@ fn contradictions_until_restart() -> f64 {
     let mut life = filter::LifeCycle::new(filter::TrackPolicy::default());
     let mut tell =
         |frame: i32, x_m: f64| life.measured(f64::from(frame) / 30.0, &found(x_m), &ego).unwrap();
-    (0..5).for_each(|frame| drop(tell(frame, 1.0)));
+    for frame in 0..5 {
+        tell(frame, 1.0);
+    }
     let restart = (5..15).position(|frame| tell(frame, -1.0) == filter::Happened::Restarted);
     restart.unwrap() as f64 + 1.0
 }
