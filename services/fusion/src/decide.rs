@@ -5,7 +5,8 @@
 //! Explain compares with the limits alone, to name the one that a refused pose missed.
 //!
 //! The limits are formulas of `acceptance.rs` in imaging, and within fusion only this module uses
-//! them. They stay there because alignment needs two of them. Its search round a prediction ends at
+//! them. They stay there because alignment needs two of them. The least lead is one of geometry,
+//! because the filter needs it too. Its search round a prediction ends at
 //! the first accepted pose. Each alignment states whether it is precise before the factor of the
 //! picture's coding.
 //!
