@@ -51,7 +51,7 @@ fn the_direct_pass_asks_for_a_pose_that_is_certain() {
 
 #[test]
 fn of_poses_that_a_track_supports_the_likeliest_counts() {
-    let all = [nothing(), predicted(0.0, 5.0, true), predicted(0.1, 6.0, false)];
+    let all = [nothing(), predicted(0.0, 6.0, true), predicted(0.1, 7.0, false)];
     let decision = of_tracked(&all);
     assert_eq!(decision.chosen, Some(PoseIndex::Hypothesis(2)));
     let reasons = [Verdict::NotAligned, Verdict::LessLikely, Verdict::Accepted];
@@ -71,7 +71,7 @@ fn of_poses_that_a_track_supports_the_likeliest_counts() {
 
 #[test]
 fn the_same_pose_twice_is_chosen_once() {
-    let twice = [predicted(0.0, 5.0, true), predicted(0.0, 5.0, true)];
+    let twice = [predicted(0.0, 6.0, true), predicted(0.0, 6.0, true)];
     let decision = of_tracked(&twice);
     assert_eq!(decision.chosen, Some(PoseIndex::Hypothesis(0)));
     assert_eq!(decision.reasons, [Verdict::Accepted, Verdict::LessLikely]);

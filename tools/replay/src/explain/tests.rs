@@ -309,11 +309,11 @@ fn poses_that_were_refused_are_told_with_what_was_asked_for() {
     };
     let (step, why) = refused(&[(-2.0, Verdict::BelowThreshold), (1.5, Verdict::BelowThreshold)]);
     assert_eq!(step, DecisiveStep::BelowThreshold, "{why}");
-    assert!(why.contains("log odds 2.5 with the prediction, and 4.8 are asked for"), "{why}");
+    assert!(why.contains("log odds 2.5 with the prediction, and 5.4 are asked for"), "{why}");
     // The direct pass asks for more than the prediction.
     let (step, why) = refused(&[(5.5, Verdict::BelowThreshold)]);
     assert_eq!(step, DecisiveStep::BelowThreshold, "{why}");
-    assert!(why.contains("the picture alone has log odds 5.5, and 6.7 are asked for"), "{why}");
+    assert!(why.contains("the picture alone has log odds 5.5, and 7.3 are asked for"), "{why}");
     let (step, why) = refused(&[(9.0, Verdict::Rivals(2.0)), (7.0, Verdict::Rival)]);
     assert_eq!(step, DecisiveStep::Rivals, "{why}");
     assert!(why.contains("leads its rivals by 2.0 only, and 4.8 are asked for"), "{why}");
