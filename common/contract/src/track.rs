@@ -180,6 +180,12 @@ impl Track {
         }
     }
 
+    /// Whether the frame measured it, by a pose that is precise by itself. A track that a less
+    /// precise pose corrected is confirmed, too.
+    pub fn is_measured(&self) -> bool {
+        self.measured_by != MeasuredBy::Nothing.code()
+    }
+
     /// Refuses unknown states and invalid poses.
     pub fn check(&self) -> Result<(), ContractError> {
         TrackState::try_from(self.state)?;

@@ -10,9 +10,7 @@ pub(crate) mod text;
 
 use std::collections::{BTreeMap, VecDeque};
 
-use flockeye_contract::{
-    BodyTruth, FrameStamp, Health, StageState, Track, TrackState, TruthHeader,
-};
+use flockeye_contract::{BodyTruth, FrameStamp, Health, StageState, Track, TruthHeader};
 use flockeye_runtime::health_rates::HealthRates;
 use flockeye_tables::sweep::SweepReport;
 use nalgebra::Vector3;
@@ -106,12 +104,10 @@ impl Dashboard {
                 truth.and_then(|(_, bodies)| bodies.iter().find(|body| body.name == track.name));
             let neighbour = self.neighbours.entry(name).or_default();
             neighbour.error_m = body.map(|body| error_m(track, body));
-            let is_measured = !matches!(
-                TrackState::try_from(track.state),
-                Ok(TrackState::Coasting | TrackState::Lost) | Err(_)
-            );
-            if is_measured {
-                neighbour.measured += 1;
+            if track.is_measured() {
+                // A better pose may follow in the same frame.
+                let is_first = !neighbour.open.iter().any(|of| of.is_same_frame(stamp));
+                neighbour.measured += u64::from(is_first);
                 add_sample(&mut neighbour.latencies_ms, track.latency.total_ns as f64 * 1e-6);
                 if let Some(error) = neighbour.error_m {
                     add_sample(&mut neighbour.errors_mm, error * 1e3);
@@ -174,7 +170,7 @@ fn age_ms(track: &Track, arrived_ns: i64, now_ns: i64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use flockeye_contract::Pose;
+    use flockeye_contract::{MeasuredBy, Pose, TrackState};
 
     #[test]
     fn measurements_in_frames_that_have_not_ended_are_not_counted() {
@@ -189,6 +185,7 @@ mod tests {
         let track = Track {
             name: "alpha".into(),
             state: TrackState::Confirmed.code(),
+            measured_by: MeasuredBy::Aligned.code(),
             ..bytemuck::Zeroable::zeroed()
         };
         for sequence in 0..3 {
@@ -200,6 +197,21 @@ mod tests {
         }
         let alpha = &dashboard.neighbours["alpha"];
         assert_eq!((alpha.eligible, alpha.eligible_measured), (2, 2));
+        assert_eq!((alpha.measured, alpha.coasted), (3, 0));
         assert_eq!(alpha.open.len(), 2, "the frame that has not ended");
+    }
+
+    #[test]
+    fn a_track_that_an_imprecise_pose_corrected_is_not_measured() {
+        let mut dashboard = Dashboard::default();
+        let track = Track {
+            name: "alpha".into(),
+            state: TrackState::Confirmed.code(),
+            ..bytemuck::Zeroable::zeroed()
+        };
+        dashboard.tracks(&FrameStamp::default(), &[track], true, 0);
+        let alpha = &dashboard.neighbours["alpha"];
+        assert_eq!((alpha.measured, alpha.coasted), (0, 1));
+        assert!(alpha.latencies_ms.is_empty());
     }
 }

@@ -2,8 +2,7 @@
 
 use anyhow::ensure;
 use flockeye_contract::{
-    DetectionHeader, Detections, FrameEnds, MeasuredBy, RotationSource, Rotations, StageName,
-    Tracks,
+    DetectionHeader, Detections, FrameEnds, RotationSource, Rotations, StageName, Tracks,
 };
 use flockeye_runtime::clock;
 use flockeye_runtime::ports::{Message, Ports, Subscriber};
@@ -88,10 +87,7 @@ impl Shadow {
             }
             Self::Tracks(tracks) => {
                 while let Some(message) = tracks.receive()? {
-                    let measured = message
-                        .items()
-                        .iter()
-                        .filter(|track| track.measured_by != MeasuredBy::Nothing.code());
+                    let measured = message.items().iter().filter(|track| track.is_measured());
                     let found = measured
                         .map(|track| {
                             (track.target, Some(track.observer_from_target.position.into()))
