@@ -72,11 +72,15 @@ SIMULATED = {
     "gusts-sensor": ("simulated flights in gusts with an inertial sensor", [*GUSTS, "inertial.source=sim"],
                      range(2001, 2006), 100, ["lossless"]),
 }
-# The conditions of `flight3`: strong wind, a low sun from one side, 10 ms exposures.
-SIMULATED["wind"] = ("simulated flights in strong wind and a low sun at 0.9 to 2.6 m, 10 ms exposures",
-                     ["simulator.tilt_deg=17", "simulator.yaw_deg_s=30", "simulator.yaw_swing_deg_s=90",
-                      "simulator.exposure_ms=10", "simulator.distance_m=[0.88,2.6]", "simulator.sun.ratio=4"],
-                     range(2201, 2213), 150, ["lossless"])
+# The conditions of `flight3`: strong wind, fast neighbours, a low sun from one side, 10 ms exposures, H.264.
+WIND = ["simulator.tilt_deg=17", "simulator.yaw_deg_s=30", "simulator.yaw_swing_deg_s=90",
+        "simulator.exposure_ms=10", "simulator.distance_m=[0.88,2.6]", "simulator.speed_m_s=2.4",
+        "simulator.sun.ratio=4"]
+SIMULATED["wind"] = ("simulated flights in strong wind and a low sun at 0.9 to 2.6 m, 10 ms exposures, H.264",
+                     WIND, range(2201, 2213), 150, list(WAYS))
+SIMULATED["minutes"] = ("ten minutes of such flights", WIND, range(3101, 3221), 150, ["real time"])
+# Drawn as videos first, which are flown as recordings.
+FILMED = ["wind", "minutes"]
 # In the wrong light: single images, half a second apart, and flights.
 for name, stops, words in (("bright", 3, "3 stops too much"), ("dark", -4, "4 stops too little")):
     light = f"simulator.exposure_stops={stops}"
@@ -146,7 +150,7 @@ STARTS = {"start": ("From `flockeye up` to the first frame's end, and what the d
 # What the coding of pictures asks of covariances: title, program.
 CODINGS = {"codings": ("Pictures that are coded in different ways", "tools/results/codings.py")}
 # These take long, so they are flown by their names alone.
-LONG = ["kills-long", "cuts", "hour", "codings"]
+LONG = ["kills-long", "cuts", "hour", "minutes", "codings"]
 PARTS = [*RECORDINGS, *SIMULATED, *EXPERIMENTS, *SWARMS, *LOADS, *CUTS, *ONLOOKERS, *ROTATIONS, *BENCHES, *DISTURBED, *FAULTY, *RECORDED, *STARTS, *CODINGS]
 
 
@@ -327,6 +331,25 @@ def fly(*flight):
         # Then its poses depend on how busy the machine is.
         sys.exit(f"results: {shown(command)} gave somebody up:\n{late[0]}\nCure: fewer JOBS, or a less busy machine")
     return command, *files, [int(number) for number in counted.groups()]
+
+
+def film_command(arguments, part, seed):
+    """The command that draws a simulated flight as a video, and where it writes this and its truth."""
+    video, truth = (WORK / f"{part}-{seed}{end}" for end in (".mp4", "-truth.csv"))
+    return ["film", *arguments, "--out", str(video), "--truth", str(truth)], video, truth
+
+
+def draw_films(arguments, part, seeds):
+    """Draws the flights of a part, JOBS at a time, but not those that were drawn before."""
+    def draw(seed):
+        command, video, truth = film_command(arguments + ["--set", f"simulator.seed={seed}"], part, seed)
+        if not (ROOT / truth).exists():
+            print(f"  {shown(command)}", file=sys.stderr, flush=True)
+            unfinished = truth.with_suffix(".unfinished")
+            run([*command[:-1], str(unfinished)])
+            (ROOT / unfinished).rename(ROOT / truth)
+    with ThreadPoolExecutor(JOBS) as pool:
+        list(pool.map(draw, seeds))
 
 
 def benched(part):
@@ -588,6 +611,8 @@ def run_part(part, data, wanted_ways):
         title += f", seeds {seeds[0]} to {seeds[-1]}, {frames} frames each"
         settings, source, truth = [*settings, f"simulator.frames={frames}"], [], None
     arguments = source + [word for key in settings for word in ("--set", key)]
+    if part in FILMED:
+        draw_films(arguments, part, seeds)
     for way in [way for way in ways if way in wanted_ways]:
         before = machine()
         name = f"{part}-{way.replace(' ', '-')}"
@@ -595,8 +620,11 @@ def run_part(part, data, wanted_ways):
             command, *files, frames = fly(arguments, way, name, data / truth)
         else:
             def flight_of(seed):
-                seeded = arguments + ["--set", f"simulator.seed={seed}"]
-                return seeded, way, f"{name}-{seed}", None, f"results-{part}-{seed}"
+                seeded, truth = arguments + ["--set", f"simulator.seed={seed}"], None
+                if part in FILMED:
+                    _, video, truth = film_command(seeded, part, seed)
+                    seeded = ["--source", str(video)]
+                return seeded, way, f"{name}-{seed}", truth, f"results-{part}-{seed}"
 
             # Poses of a lossless flight do not depend on what runs beside it, as long as nobody is given up.
             if way == "lossless" and JOBS > 1:
@@ -604,6 +632,9 @@ def run_part(part, data, wanted_ways):
             with ThreadPoolExecutor(before.get("jobs", 1)) as pool:
                 flights = [flight for _, *flight in pool.map(lambda seed: fly(*flight_of(seed)), seeds)]
             command, *_ = flight_command(*flight_of("SEED"))
+            if part in FILMED:
+                drawn, *_ = film_command(arguments + ["--set", "simulator.seed=SEED"], part, "SEED")
+                command = [*drawn, "\n", "flockeye", *command]
             files = pooled(flights, name)
             frames = [sum(flight[-1][kind] for flight in flights) for kind in (0, 1)]
         entries[name] = {"title": title, "way": way, "command": shown(command), "machine": before,

@@ -28,5 +28,9 @@ pub const CALIBRATE: CommandInfo = CommandInfo {
             how late frames arrive, or what code values stand for",
 };
 
+/// Draws simulated flights as videos.
+pub const FILM: CommandInfo =
+    CommandInfo { name: "film", about: "Draw a simulated flight as a video, with its truth" };
+
 /// All of them, in the order of the help.
-pub const COMMANDS: [CommandInfo; 5] = [EVAL, EXPERIMENT, PARTITION, MARKERS, CALIBRATE];
+pub const COMMANDS: [CommandInfo; 6] = [EVAL, EXPERIMENT, FILM, PARTITION, MARKERS, CALIBRATE];

@@ -37,11 +37,13 @@ pub(crate) enum Action {
 
 /// The messages of a frame in the order of sending: a receiver of the frame has the others already.
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) struct PictureMessages {
+pub struct PictureMessages {
     /// Samples of the inertial sensor up to the end of the exposure; `None` without a sensor.
-    pub(crate) inertial: Option<(ImuHeader, Vec<ImuSample>)>,
-    pub(crate) truth: (TruthHeader, Vec<BodyTruth>),
-    pub(crate) frame: FrameHeader,
+    pub inertial: Option<(ImuHeader, Vec<ImuSample>)>,
+    /// The poses of the camera and of all bodies.
+    pub truth: (TruthHeader, Vec<BodyTruth>),
+    /// What belongs to the luma plane.
+    pub frame: FrameHeader,
 }
 
 /// State of the simulator between frames.

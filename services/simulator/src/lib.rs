@@ -50,6 +50,7 @@
 //! | `settings` | the world for a configuration |
 //! | `messages` | the truth about a frame, as messages |
 //! | `core` | the order of frames, and their messages |
+//! | `film` | a flight outside of a pipeline |
 //! | `stage` | the ports around it |
 
 mod ahead;
@@ -62,6 +63,7 @@ mod drone;
 mod drone_motion;
 mod error;
 mod eyes;
+mod film;
 mod gusts;
 mod hall;
 mod inertial;
@@ -91,7 +93,9 @@ mod truth;
 mod wander;
 mod world;
 
+pub use crate::core::PictureMessages;
 pub use error::{RenderError, WorldError};
+pub use film::draw_flight;
 pub use moment::{Attitude, Moment, Placement};
 pub use parameters::WorldParameters;
 pub use response::CameraCurve;

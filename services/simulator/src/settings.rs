@@ -73,6 +73,7 @@ pub fn parameters(resolved: &Resolved) -> anyhow::Result<WorldParameters> {
         yaw_swing_deg_s: settings.yaw_swing_deg_s,
         readout_s: resolved.pipeline.camera.readout_ms * 1e-3,
         distance_m: settings.distance_m,
+        speed_m_s: settings.speed_m_s,
         airframes: settings.airframes,
         swarm: settings.swarm.map(|swarm| SwarmPlace {
             drone: swarm.drone,

@@ -13,6 +13,7 @@ mod egomotion;
 mod evaluation;
 mod explaining;
 mod faults;
+mod film;
 mod foreign;
 mod inertial;
 mod keeping;

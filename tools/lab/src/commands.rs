@@ -10,6 +10,7 @@ use crate::calibrate::{
 };
 use crate::eval::{self, EvalArguments};
 use crate::experiment::{self, ExperimentKind};
+use crate::film::{self, FilmArguments};
 use crate::markers::{self, MarkersArguments};
 use crate::partition::{self, PartitionArguments};
 
@@ -22,6 +23,8 @@ enum Lab {
     Eval(EvalArguments),
     #[command(subcommand, about = lab::EXPERIMENT.about)]
     Experiment(ExperimentKind),
+    #[command(about = lab::FILM.about)]
+    Film(FilmArguments),
     #[command(about = lab::PARTITION.about)]
     Partition(PartitionArguments),
     #[command(about = lab::MARKERS.about)]
@@ -71,6 +74,7 @@ pub fn run() -> anyhow::Result<()> {
     match Lab::parse() {
         Lab::Eval(arguments) => eval::run(&arguments),
         Lab::Experiment(kind) => experiment::run(&kind),
+        Lab::Film(arguments) => film::run(&arguments),
         Lab::Partition(arguments) => partition::run(&arguments),
         Lab::Markers(arguments) => markers::run(&arguments),
         Lab::Calibrate(subcommand) => match subcommand {

@@ -8,6 +8,7 @@
 //! | [`evaluation`] | the comparison itself |
 //! | `report` | the comparison as a page with figures |
 //! | `experiment` | repeats the paper's tables, and tests the consistency of covariances |
+//! | `film` | draws simulated flights as videos |
 //! | `partition` | partitions of the sphere as table, JSON and drawings |
 //! | `markers` | a body's facets on paper, to print and glue |
 //! | `calibrate` | commands that measure the real poses of markers, camera, lenses and sensors |
@@ -20,6 +21,7 @@ pub mod commands;
 mod eval;
 pub mod evaluation;
 mod experiment;
+mod film;
 mod markers;
 mod partition;
 mod report;

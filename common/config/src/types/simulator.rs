@@ -28,6 +28,9 @@ pub struct Simulator {
     pub exposure_ms: f64,
     /// Nearest and farthest distance of the neighbours, metres.
     pub distance_m: [f64; 2],
+    /// Fastest that a neighbour flies, metres a second.
+    #[schemars(range(min = 0.0, max = 20.0))]
+    pub speed_m_s: f64,
     /// The observer's own yaw, degrees a second.
     #[schemars(range(min = -360.0, max = 360.0))]
     pub yaw_deg_s: f64,
@@ -85,6 +88,7 @@ impl Default for Simulator {
             frames: 0,
             exposure_ms: 6.25,
             distance_m: [0.6, 2.0],
+            speed_m_s: 0.8,
             yaw_deg_s: 12.0,
             tilt_deg: 0.0,
             yaw_swing_deg_s: 0.0,
