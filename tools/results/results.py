@@ -76,9 +76,9 @@ SIMULATED = {
 WIND = ["simulator.tilt_deg=17", "simulator.yaw_deg_s=30", "simulator.yaw_swing_deg_s=90",
         "simulator.exposure_ms=10", "simulator.distance_m=[0.88,2.6]", "simulator.speed_m_s=2.4",
         "simulator.sun.ratio=4"]
-SIMULATED["wind"] = ("simulated flights in strong wind and a low sun at 0.9 to 2.6 m, 10 ms exposures, H.264",
+SIMULATED["wind"] = ("simulated flights of fast neighbours in strong wind and a low sun at 0.9 to 2.6 m, H.264",
                      WIND, range(2201, 2213), 150, list(WAYS))
-SIMULATED["minutes"] = ("ten minutes of such flights", WIND, range(3101, 3221), 150, ["real time"])
+SIMULATED["minutes"] = ("ten minutes of fast neighbours in strong wind and a low sun, H.264", WIND, range(3101, 3221), 150, ["real time"])
 # Drawn as videos first, which are flown as recordings.
 FILMED = ["wind", "minutes"]
 # In the wrong light: single images, half a second apart, and flights.
@@ -203,9 +203,10 @@ def rows(path):
 
 
 def pooled(flights, name):
-    """Poses, truth and rotations of several flights as one, with frames numbered apart."""
+    """Poses, truth and rotations of several flights as one, with frames numbered apart. Films have no rotations."""
     paths = []
-    for kind, table in enumerate(("poses", "truth", "rotations")[:len(flights[0])]):
+    tables = [table for table, path in zip(("poses", "truth", "rotations"), flights[0]) if path is not None]
+    for kind, table in enumerate(tables):
         path = WORK / f"{name}-{table}.csv"
         with open(ROOT / path, "w", newline="") as file:
             writer = None
@@ -340,14 +341,15 @@ def film_command(arguments, part, seed):
 
 
 def draw_films(arguments, part, seeds):
-    """Draws the flights of a part, JOBS at a time, but not those that were drawn before."""
+    """Draws the flights of a part, JOBS at a time, but not those that the same simulator has drawn."""
+    simulator = (ROOT / flockeye()).with_name("flockeye-lab").stat().st_mtime
     def draw(seed):
-        command, video, truth = film_command(arguments + ["--set", f"simulator.seed={seed}"], part, seed)
-        if not (ROOT / truth).exists():
+        command, video, _ = film_command(arguments + ["--set", f"simulator.seed={seed}"], part, seed)
+        drawn, by = ROOT / video.with_suffix(".drawn"), f"{shown(command)}\n{simulator}\n"
+        if not drawn.exists() or drawn.read_text() != by:
             print(f"  {shown(command)}", file=sys.stderr, flush=True)
-            unfinished = truth.with_suffix(".unfinished")
-            run([*command[:-1], str(unfinished)])
-            (ROOT / unfinished).rename(ROOT / truth)
+            run(command)
+            drawn.write_text(by)
     with ThreadPoolExecutor(JOBS) as pool:
         list(pool.map(draw, seeds))
 
@@ -632,12 +634,14 @@ def run_part(part, data, wanted_ways):
             with ThreadPoolExecutor(before.get("jobs", 1)) as pool:
                 flights = [flight for _, *flight in pool.map(lambda seed: fly(*flight_of(seed)), seeds)]
             command, *_ = flight_command(*flight_of("SEED"))
-            if part in FILMED:
-                drawn, *_ = film_command(arguments + ["--set", "simulator.seed=SEED"], part, "SEED")
-                command = [*drawn, "\n", "flockeye", *command]
             files = pooled(flights, name)
             frames = [sum(flight[-1][kind] for flight in flights) for kind in (0, 1)]
-        entries[name] = {"title": title, "way": way, "command": shown(command), "machine": before,
+        if part in FILMED:
+            film, *_ = film_command(arguments + ["--set", "simulator.seed=SEED"], part, "SEED")
+            before_flight = f"{shown(film)}\n"
+        else:
+            before_flight = ""
+        entries[name] = {"title": title, "way": way, "command": before_flight + shown(command), "machine": before,
                          "searched": frames[0], "skipped": frames[1],
                          **evaluated(*files)}
     return entries

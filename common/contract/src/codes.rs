@@ -235,7 +235,7 @@ codes! {
     TrackState, "track state" {
         /// Measured too few times to be confirmed.
         Tentative = 0,
-        /// Confirmed, and measured in this frame.
+        /// Confirmed, and corrected by a pose of this frame, precise (`measured_by`) or not.
         Confirmed = 1,
         /// Confirmed, but only predicted: nothing was measured in this frame.
         Coasting = 2,

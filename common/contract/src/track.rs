@@ -180,8 +180,8 @@ impl Track {
         }
     }
 
-    /// Whether the frame measured it, by a pose that is precise by itself. A track that a less
-    /// precise pose corrected is confirmed, too.
+    /// Whether this frame gave a precise pose. A track that an imprecise pose has corrected is
+    /// confirmed, too.
     pub fn is_measured(&self) -> bool {
         self.measured_by != MeasuredBy::Nothing.code()
     }

@@ -105,7 +105,7 @@ impl Dashboard {
             let neighbour = self.neighbours.entry(name).or_default();
             neighbour.error_m = body.map(|body| error_m(track, body));
             if track.is_measured() {
-                // A better pose may follow in the same frame.
+                // Another fusion may send several poses of a frame.
                 let is_first = !neighbour.open.iter().any(|of| of.is_same_frame(stamp));
                 neighbour.measured += u64::from(is_first);
                 add_sample(&mut neighbour.latencies_ms, track.latency.total_ns as f64 * 1e-6);

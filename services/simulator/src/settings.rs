@@ -92,3 +92,30 @@ pub(crate) fn in_words(settings: &Simulator) -> String {
     let place = place.unwrap_or_default();
     format!("{neighbours} neighbours, {frames_per_second} frames/s, seed {seed}{place}")
 }
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use flockeye_config::Pipeline;
+
+    #[test]
+    fn neighbours_fly_as_fast_as_configured() {
+        let speed_m_s = |set: &str| {
+            let set = [format!("simulator.{set}")];
+            let resolved = Resolved::of(Pipeline::parse("", &set, "a test").unwrap()).unwrap();
+            let (world, _) = world(&resolved, &std::env::temp_dir()).unwrap();
+            let places = (0..3000).map(|k| {
+                let moment = world.moment(f64::from(k) * 0.02);
+                let turned = moment.camera.world_from_camera;
+                turned * moment.placements[0].camera_from_markers.translation.vector
+            });
+            let places: Vec<_> = places.collect();
+            places.windows(2).map(|two| (two[1] - two[0]).norm() / 0.02).fold(0.0, f64::max)
+        };
+        for (set, expected) in [("speed_m_s=2.4", 2.4), ("speed_m_s=0", 0.0), ("seed=1", 0.8)] {
+            let fastest = speed_m_s(set);
+            assert!((fastest - expected).abs() < 0.05 * expected + 1e-9, "{set}: {fastest}");
+        }
+    }
+}

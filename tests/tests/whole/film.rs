@@ -27,7 +27,7 @@ fn a_filmed_flight_is_flown_as_a_recording_with_its_truth() {
     let scratch = Scratch::new("film");
     let [video, truth, imu, poses] =
         ["flight.mp4", "truth.csv", "imu.csv", "poses.csv"].map(|name| scratch.path(name));
-    let tables = ["--truth", text(&truth), "--imu", text(&imu), "--rate", "8"];
+    let tables = ["--truth", text(&truth), "--imu", text(&imu), "--bitrate", "8"];
     let (is_well, said) = film(text(&video), &[], &tables);
     assert!(is_well && said.contains("12 frames in "), "{said}");
     let truth: Vec<TruthRow> = read(&truth).expect("a truth");
@@ -49,6 +49,7 @@ fn a_filmed_flight_is_flown_as_a_recording_with_its_truth() {
     let poses: Vec<PoseRow> = read(&poses).expect("poses");
     let errors_m = poses.iter().filter_map(|row| {
         let of_frame = truth.iter().find(|truth| truth.frame == row.frame)?;
+        assert!((row.stamp_s - of_frame.t_s).abs() < 1e-3, "frame {}", row.frame);
         Some((row.measured.as_ref()?.position - of_frame.position()).norm())
     });
     let mut errors_m: Vec<f64> = errors_m.collect();
@@ -61,16 +62,21 @@ fn a_filmed_flight_is_flown_as_a_recording_with_its_truth() {
 fn what_cannot_be_filmed_is_refused_with_a_cure() {
     let scratch = Scratch::new("film");
     let video = scratch.path("flight.mp4");
-    let absent = scratch.path("absent/flight.mp4");
+    let (absent, truth) = (scratch.path("absent/flight.mp4"), scratch.path("truth.csv"));
     let odd = ["camera.width=1020", "camera.height=510"];
+    let large = ["camera.width=8192", "camera.height=4096"];
     for (out, set, wanted) in [
         (&video, &["simulator.frames=0"][..], "has no end. Cure: --set simulator.frames=300"),
+        (&video, &large, "are too large for the encoder. Cure: at most 9437184 pixels"),
         (&video, &odd, "Cure: a camera.width that is a multiple of 8"),
         (&video, &["simulator.neighbours=7"], "simulator.neighbours: 7 neighbours"),
         (&absent, &["simulator.seed=2"], "absent/flight.mp4"),
     ] {
-        let (is_well, said) = film(text(out), set, &[]);
+        let (is_well, said) = film(text(out), set, &["--truth", text(&truth)]);
         assert!(!is_well && said.contains(wanted), "{wanted:?} is missing in:\n{said}");
-        assert!(!out.exists(), "{wanted:?} leaves no video");
+        assert!(!out.exists() && !truth.exists(), "{wanted:?} leaves no file");
     }
+    // The encoder fails while frames still come.
+    let (is_well, said) = film("/dev/full", &["simulator.frames=60"], &["--bitrate", "100"]);
+    assert!(!is_well && said.contains("flockeye: "), "{said}");
 }

@@ -1,6 +1,5 @@
-//! `flockeye film`: a simulated flight as a video, with its truth. Unlike a simulated flight in a
-//! pipeline, it has the errors of a coded video, and it can be flown at its own rate where drawing
-//! is slower than that.
+//! `flockeye film`: a simulated flight as a video, with its truth. It has the errors of a codec, and
+//! it flies in real time even if drawing is slower.
 
 use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
@@ -8,9 +7,9 @@ use std::sync::atomic::Ordering;
 use anyhow::{Context, anyhow, bail, ensure};
 use clap::Args;
 use flockeye_cli::{Configuration, Screen, signals};
-use flockeye_config::Resolved;
+use flockeye_config::{Profile, Resolved};
 use flockeye_contract::ImuSample;
-use flockeye_simulator::draw_flight;
+use flockeye_simulator::{PictureMessages, draw_flight};
 use flockeye_tables::{ImuRow, TableWriter, TruthRow};
 use gstreamer as gst;
 use gstreamer::prelude::*;
@@ -18,6 +17,9 @@ use gstreamer_app::AppSrc;
 
 /// Number of frames from one key frame to the next.
 const GOP_FRAMES: u32 = 30;
+/// Largest size and bit rate that the encoder accepts (H.264, level 5.2), pixels and Mbit/s.
+const MAX_PIXELS: u64 = 9_437_184;
+const MAX_BITRATE: i64 = 288;
 /// Longest time that the last frames take to be written.
 const END_TIMEOUT: gst::ClockTime = gst::ClockTime::from_seconds(60);
 /// Code value of a colour difference where there is no colour.
@@ -37,9 +39,9 @@ pub(crate) struct FilmArguments {
     /// Where to write the samples of the simulated inertial sensor.
     #[arg(long, value_name = "FILE.csv")]
     imu: Option<PathBuf>,
-    /// Megabits a second.
-    #[arg(long, value_name = "MBIT", default_value_t = 20, value_parser = clap::value_parser!(u32).range(1..=500))]
-    rate: u32,
+    /// Bit rate of the video, megabits a second.
+    #[arg(long, value_name = "MBIT", default_value_t = 20, value_parser = clap::value_parser!(u32).range(1..=MAX_BITRATE))]
+    bitrate: u32,
 }
 
 /// Draws the flight.
@@ -47,38 +49,65 @@ pub(crate) struct FilmArguments {
 /// # Errors
 /// An invalid configuration, a missing encoder, a file that cannot be written, or Ctrl-C.
 pub(crate) fn run(arguments: &FilmArguments) -> anyhow::Result<()> {
-    let FilmArguments { configuration, out, truth, imu, rate } = arguments;
-    let sensor = imu.iter().map(|_| "inertial.source=sim".to_owned()).collect::<Vec<_>>();
-    let configuration = configuration.clone().with_every_frame(&[])?;
-    let resolved = Resolved::of(configuration.load_with(&[], &sensor)?)?;
-    let mut truths = truth.as_deref().map(TableWriter::<TruthRow>::create).transpose()?;
-    let mut samples = imu.as_deref().map(TableWriter::<ImuRow>::create).transpose()?;
+    let sensor = if arguments.imu.is_some() { "sim" } else { "none" };
+    let fixed = ["source.input=sim".to_owned(), format!("inertial.source={sensor}")];
+    let configuration = arguments.configuration.clone().in_profile(Profile::Repeat);
+    let resolved = Resolved::of(configuration.load_with(&[], &fixed)?)?;
     let painting = tempfile::tempdir().context("cannot make a temporary folder")?;
     let stopping = signals::stop_flag()?;
-    // Opened for the first frame, so that a flight that cannot be drawn leaves no video.
-    let mut encoder: Option<Encoder> = None;
+    // Opened for the first frame, so that a flight that cannot be drawn leaves no file.
+    let mut film: Option<Film> = None;
     draw_flight(&resolved, painting.path(), |luma, messages| {
-        let (header, bodies) = &messages.truth;
-        if let Some(truths) = &mut truths {
-            bodies.iter().try_for_each(|body| truths.add(&TruthRow::of(header, body)))?;
-        }
-        if let (Some(table), Some((_, imu))) = (&mut samples, &messages.inertial) {
-            let zero_ns = header.stamp.exposure_ns - header.stamp.stream_ns;
-            let row = |sample: &ImuSample| table.add(&ImuRow::of(sample, zero_ns));
-            imu.iter().try_for_each(row)?;
-        }
-        match &mut encoder {
-            Some(encoder) => encoder.add(luma)?,
-            None => encoder.insert(Encoder::open(&resolved, out, *rate)?).add(luma)?,
+        match &mut film {
+            Some(film) => film.add(luma, messages)?,
+            None => film.insert(Film::open(&resolved, arguments)?).add(luma, messages)?,
         }
         Ok(!stopping.load(Ordering::Relaxed))
     })?;
-    let frames = encoder.map_or(Ok(0), Encoder::finish)?;
-    truths.map(TableWriter::finish).transpose()?;
-    samples.map(TableWriter::finish).transpose()?;
+    let frames = film.map_or(Ok(0), Film::finish)?;
     ensure!(!stopping.load(Ordering::Relaxed), "stopped after {frames} frames");
-    Screen::new().line(&format!("{frames} frames in {}", out.display()));
+    Screen::new().line(&format!("{frames} frames in {}", arguments.out.display()));
     Ok(())
+}
+
+/// A video and its tables, which are being written.
+struct Film {
+    encoder: Encoder,
+    truths: Option<TableWriter<TruthRow>>,
+    samples: Option<TableWriter<ImuRow>>,
+}
+
+impl Film {
+    fn open(resolved: &Resolved, arguments: &FilmArguments) -> anyhow::Result<Self> {
+        let FilmArguments { out, truth, imu, bitrate, .. } = arguments;
+        Ok(Self {
+            encoder: Encoder::open(resolved, out, *bitrate)?,
+            truths: truth.as_deref().map(TableWriter::create).transpose()?,
+            samples: imu.as_deref().map(TableWriter::create).transpose()?,
+        })
+    }
+
+    /// Adds a frame, with what belongs to it.
+    fn add(&mut self, luma: &[u8], messages: &PictureMessages) -> anyhow::Result<()> {
+        let (header, bodies) = &messages.truth;
+        if let Some(truths) = &mut self.truths {
+            bodies.iter().try_for_each(|body| truths.add(&TruthRow::of(header, body)))?;
+        }
+        if let (Some(table), Some((_, samples))) = (&mut self.samples, &messages.inertial) {
+            let zero_ns = header.stamp.exposure_ns - header.stamp.stream_ns;
+            let add = |sample: &ImuSample| table.add(&ImuRow::of(sample, zero_ns));
+            samples.iter().try_for_each(add)?;
+        }
+        self.encoder.add(luma)
+    }
+
+    /// Ends the video and its tables, and returns the number of frames.
+    fn finish(self) -> anyhow::Result<u64> {
+        let frames = self.encoder.finish()?;
+        self.truths.map(TableWriter::finish).transpose()?;
+        self.samples.map(TableWriter::finish).transpose()?;
+        Ok(frames)
+    }
 }
 
 /// An H.264 encoder that writes a file.
@@ -103,6 +132,11 @@ impl Encoder {
             "frames are {width}x{height}. Cure: a camera.width that is a multiple of 8, and an even \
              camera.height"
         );
+        ensure!(
+            u64::from(width) * u64::from(height) <= MAX_PIXELS,
+            "frames of {width}x{height} are too large for the encoder. Cure: at most {MAX_PIXELS} \
+             pixels, such as 4096x2048"
+        );
         let rate = gst::Fraction::approximate_f64(resolved.pipeline.simulator.frames_per_second)
             .context("simulator.frames_per_second is no rate of a video")?;
         let bits = u64::from(megabits_s) * 1_000_000;
@@ -112,7 +146,10 @@ impl Encoder {
              gop-size={GOP_FRAMES} multi-thread=2 ! h264parse ! mp4mux ! filesink name=file"
         );
         let pipeline = gst::parse::launch(&description)
-            .context("cannot encode. Cure: apt-get install gstreamer1.0-plugins-{good,bad}")?;
+            .context(
+            "cannot encode. Cure: apt-get install gstreamer1.0-plugins-base gstreamer1.0-plugins-good \
+             gstreamer1.0-plugins-bad",
+        )?;
         let pipeline = pipeline.downcast::<gst::Pipeline>();
         let pipeline = pipeline.ok().context("the encoder is no pipeline")?;
         let element = |name: &str| pipeline.by_name(name).context("the encoder lacks an element");
@@ -126,6 +163,19 @@ impl Encoder {
             .field("framerate", rate)
             .build();
         source.set_caps(Some(&caps));
+        // After an error nothing takes frames any more. The end of the stream wakes who waits for
+        // room.
+        let failed = source.downgrade();
+        let bus = pipeline.bus().context("the encoder has no messages")?;
+        bus.set_sync_handler(move |_, message| {
+            if message.type_() == gst::MessageType::Error
+                && let Some(source) = failed.upgrade()
+            {
+                // Refused only where the stream has ended already.
+                let _ = source.end_of_stream();
+            }
+            gst::BusSyncReply::Pass
+        });
         let colour_bytes = width as usize * height as usize / 2;
         let encoder = Self { pipeline, source, rate, colour_bytes, frames: 0 };
         match encoder.pipeline.set_state(gst::State::Playing) {

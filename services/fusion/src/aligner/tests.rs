@@ -8,6 +8,7 @@ use crate::drawn_body::{Drawing, draw};
 use crate::fixtures::{PIXELS_PER_RADIAN, aligner, alignment, alpha, bravo, facing};
 use flockeye_geometry::body::{Body, plate};
 use flockeye_geometry::pose::least_lead;
+use flockeye_imaging::align::{least_log_odds_anywhere, least_log_odds_predicted};
 use flockeye_imaging::light::{CodeRange, LinearLight, TransferCurve};
 use nalgebra::{Matrix6, Translation3, UnitQuaternion, Vector3, Vector6};
 
@@ -325,7 +326,9 @@ fn each_hypothesis_has_its_reason() {
         let (verdicts, list) = decided(picture, &starts, confirm);
         assert_eq!(verdicts, [Verdict::NotAligned, Verdict::BelowThreshold, Verdict::Accepted]);
         assert!(list[2].turn_log.is_some_and(|turn| turn > 2.0), "it has hardly turned");
-        assert!(list[2].log_odds().unwrap() > 6.7 && list[1].log_odds().unwrap() < 4.8);
+        let (anywhere, predicted) = (least_log_odds_anywhere(), least_log_odds_predicted());
+        let log_odds = |k: usize| list[k].log_odds().unwrap();
+        assert!(log_odds(2) > anywhere && log_odds(1) < predicted);
         // What comes after a pose that is accepted by itself is not tried.
         let (verdicts, _) = decided(picture, &[Start::Fine(truth), Start::Fine(truth)], confirm);
         assert_eq!(verdicts, [Verdict::Accepted]);

@@ -125,7 +125,7 @@ impl Dashboard {
         for (name, neighbour) in &self.neighbours {
             let _ = write!(
                 text,
-                "\n{name}: measured in {} frames, predicted in {}",
+                "\n{name}: measured in {} frames, not in {}",
                 neighbour.measured, neighbour.coasted
             );
             if self.has_truth && neighbour.eligible > 0 {

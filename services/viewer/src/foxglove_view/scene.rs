@@ -58,7 +58,10 @@ pub(super) fn transforms(resolved: &Resolved, tracks: &[Track], at: Timestamp) -
 fn entity(body: &Body, track: &Track, at: Timestamp) -> SceneEntity {
     let observer_from_target = isometry(&track.observer_from_target);
     let observer_from_markers = observer_from_target * body.target_from_markers;
-    let alpha = if track.is_measured() { 1.0 } else { 0.4 };
+    let is_measured = [TrackState::Confirmed, TrackState::Measured]
+        .iter()
+        .any(|state| state.code() == track.state);
+    let alpha = if is_measured { 1.0 } else { 0.4 };
     let facets = body.facets().iter();
     // A convex outline is a fan of triangles.
     let triangles = facets.clone().flat_map(|facet| {
