@@ -78,7 +78,8 @@ WIND = ["simulator.tilt_deg=17", "simulator.yaw_deg_s=30", "simulator.yaw_swing_
         "simulator.sun.ratio=4"]
 SIMULATED["wind"] = ("simulated flights of fast neighbours in strong wind and a low sun at 0.9 to 2.6 m, H.264",
                      WIND, range(2201, 2213), 150, list(WAYS))
-SIMULATED["minutes"] = ("four minutes of fast neighbours in strong wind and a low sun, H.264", WIND, range(3101, 3149), 150, ["real time"])
+SIMULATED["minutes"] = ("four minutes of fast neighbours in strong wind and a low sun, H.264",
+                        WIND, range(3101, 3149), 150, ["real time"])
 # Drawn as videos first, which are flown as recordings.
 FILMED = ["wind", "minutes"]
 # In the wrong light: single images, half a second apart, and flights.
@@ -636,12 +637,10 @@ def run_part(part, data, wanted_ways):
             command, *_ = flight_command(*flight_of("SEED"))
             files = pooled(flights, name)
             frames = [sum(flight[-1][kind] for flight in flights) for kind in (0, 1)]
+        commands = [command]
         if part in FILMED:
-            film, *_ = film_command(arguments + ["--set", "simulator.seed=SEED"], part, "SEED")
-            before_flight = f"{shown(film)}\n"
-        else:
-            before_flight = ""
-        entries[name] = {"title": title, "way": way, "command": before_flight + shown(command), "machine": before,
+            commands.insert(0, film_command(arguments + ["--set", "simulator.seed=SEED"], part, "SEED")[0])
+        entries[name] = {"title": title, "way": way, "command": "\n".join(map(shown, commands)), "machine": before,
                          "searched": frames[0], "skipped": frames[1],
                          **evaluated(*files)}
     return entries

@@ -40,7 +40,7 @@ struct NeighbourView {
     stamp: Option<FrameStamp>,
     error_m: Option<f64>,
     measured: u64,
-    coasted: u64,
+    unmeasured: u64,
     eligible: u64,
     eligible_measured: u64,
     /// Frames in which the neighbour was measured and that have not ended. Only ended frames count
@@ -114,7 +114,7 @@ impl Dashboard {
                 }
                 neighbour.open.push(*stamp);
             } else {
-                neighbour.coasted += 1;
+                neighbour.unmeasured += 1;
             }
             if neighbour.stamp.is_none_or(|last| !stamp.is_late_beside(&last)) {
                 neighbour.stamp = Some(*stamp);
@@ -197,7 +197,7 @@ mod tests {
         }
         let alpha = &dashboard.neighbours["alpha"];
         assert_eq!((alpha.eligible, alpha.eligible_measured), (2, 2));
-        assert_eq!((alpha.measured, alpha.coasted), (3, 0));
+        assert_eq!((alpha.measured, alpha.unmeasured), (3, 0));
         assert_eq!(alpha.open.len(), 2, "the frame that has not ended");
     }
 
@@ -211,7 +211,7 @@ mod tests {
         };
         dashboard.tracks(&FrameStamp::default(), &[track], true, 0);
         let alpha = &dashboard.neighbours["alpha"];
-        assert_eq!((alpha.measured, alpha.coasted), (0, 1));
+        assert_eq!((alpha.measured, alpha.unmeasured), (0, 1));
         assert!(alpha.latencies_ms.is_empty());
     }
 }

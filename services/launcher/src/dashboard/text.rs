@@ -126,7 +126,7 @@ impl Dashboard {
             let _ = write!(
                 text,
                 "\n{name}: measured in {} frames, not in {}",
-                neighbour.measured, neighbour.coasted
+                neighbour.measured, neighbour.unmeasured
             );
             if self.has_truth && neighbour.eligible > 0 {
                 let _ = write!(

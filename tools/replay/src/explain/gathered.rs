@@ -155,7 +155,7 @@ impl StageMessages {
     /// The last track of the target in this frame; one that measured it comes first.
     pub(super) fn track(&self) -> Option<&Track> {
         let own = || self.tracks.iter().filter(|track| track.target == self.target);
-        let measured = own().rfind(|track| track.measured_by != MeasuredBy::Nothing.code());
+        let measured = own().rfind(|track| track.is_measured());
         measured.or_else(|| own().next_back())
     }
 

@@ -5,7 +5,7 @@ use std::fmt;
 use std::path::Path;
 
 use flockeye_cli::text_table::TextTable;
-use flockeye_contract::{BodyTruth, FrameStamp, MeasuredBy, Pose, Track, TrackHeader, TruthHeader};
+use flockeye_contract::{BodyTruth, FrameStamp, Pose, Track, TrackHeader, TruthHeader};
 use flockeye_geometry::statistics::{median, quantile};
 use flockeye_runtime::instance::Instance;
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
@@ -141,7 +141,7 @@ impl ChaosReport {
             if self.told.len() > TRUTH_FRAMES {
                 self.told.pop_front();
             }
-            if track.measured_by == MeasuredBy::Nothing.code() {
+            if !track.is_measured() {
                 continue;
             }
             self.poses += 1;
@@ -309,6 +309,7 @@ fn shared_memory(instance: &Instance) -> (usize, u64) {
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
+    use flockeye_contract::MeasuredBy;
     use std::time::Duration;
 
     const MS: i64 = 1_000_000;

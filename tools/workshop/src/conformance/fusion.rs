@@ -4,9 +4,8 @@ use std::time::Duration;
 
 use flockeye_config::Resolved;
 use flockeye_contract::{
-    DetectedMarker, DetectionHeader, Detections, FrameEnd, FrameEnds, FrameStamp, MeasuredBy, NONE,
-    PlanHeader, Plans, StopReason, Track, TrackHeader, TrackState, Tracks, ViewHeader, ViewKind,
-    Views,
+    DetectedMarker, DetectionHeader, Detections, FrameEnd, FrameEnds, FrameStamp, NONE, PlanHeader,
+    Plans, StopReason, Track, TrackHeader, TrackState, Tracks, ViewHeader, ViewKind, Views,
 };
 use flockeye_geometry::body::Body;
 use flockeye_geometry::view::View;
@@ -246,7 +245,7 @@ impl Script<'_> {
                     || format!("age_ns is {} after {age_ns}", track.age_ns),
                 );
                 (age_ns, state) = (track.age_ns, Some(track.state));
-                if track.measured_by != MeasuredBy::Nothing.code() {
+                if track.is_measured() {
                     measured += 1;
                     let found = Vector3::from(track.measured_observer_from_target.position);
                     errors_mm.push((found - truth.translation.vector).norm() * 1e3);
