@@ -817,7 +817,7 @@ def decisions_figure(output):
 # The rows of README.md, with words of its own; the worst ones are among them.
 README_ROWS = {
     "far-real-time": "simulated, 0.6 to 4 m",
-    "gusts-lossless": "simulated, gusts, 10 ms exposures",
+    "minutes-real-time": "simulated, strong wind, H.264",
     "flight1-real-time": "rendered flight, H.264",
     "flight4-sensor-real-time": "rendered flight in wind, H.264, inertial sensor",
     "brightflight-lossless": "flights, 3 stops too bright",
