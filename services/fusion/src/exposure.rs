@@ -2,17 +2,20 @@
 
 use std::collections::BTreeMap;
 
-/// Standard deviation of a measured stretch (see
+/// Standard deviation of a short measured stretch (see
 /// [`Alignment::stretch_px2`](flockeye_imaging::align::Alignment::stretch_px2)), pixels of the
 /// sphere image squared.
 const STRETCH_SIGMA_PX2: f64 = 0.3;
+/// Standard deviation of a long stretch, as a share of it, if the path is fitted as a path
+/// (docs/results/constants.md#motion-blur).
+const SHARE_OF_PATH: f64 = 0.13;
+/// The same share while no exposure is known. A Gaussian is fitted then, and it is longer than a
+/// path as long as a marker's cells.
+const SHARE_OF_GAUSSIAN: f64 = 0.4;
 /// Largest relative standard deviation of the square of the exposure for its use.
 const MAX_UNCERTAINTY: f64 = 0.3;
 /// Loss of weight of earlier measurements with each frame, because exposures change with the light.
 const FORGETTING: f64 = 0.01;
-/// Longest stretch that is used, pixels of the sphere image squared (a path of 4 px). A Gaussian, as
-/// it is fitted while no exposure is known, is longer than a path as long as a marker's cells.
-const MAX_STRETCH_PX2: f64 = 1.3;
 /// Longest assumed exposure, seconds.
 const MAX_EXPOSURE_S: f64 = 0.05;
 
@@ -25,9 +28,10 @@ const MAX_EXPOSURE_S: f64 = 0.05;
 pub(crate) struct ExposureEstimate {
     known_s: Option<f64>,
     pixels_per_radian: f64,
-    /// Sum of the stretch, radians squared, times s^2, over targets and frames.
+    /// Sum of the stretch, radians squared, times s^2, over targets and frames. A long stretch, which
+    /// is less certain, counts less.
     stretch: f64,
-    /// The sum of s^4.
+    /// The sum of s^4, where each counts as much as its stretch.
     weight: f64,
     /// Sums of the open frame by target, so that the result does not depend on the order of
     /// measurements.
@@ -59,9 +63,12 @@ impl ExposureEstimate {
     /// Adds a target that moved at this rate, radians per second. The stretch is the variance of
     /// its blur along the motion less that across it, pixels of the sphere image squared.
     pub(crate) fn note(&mut self, target: usize, stretch_px2: f64, rate: f64) {
-        let stretch = stretch_px2 / self.pixels_per_radian.powi(2);
-        if stretch_px2 < MAX_STRETCH_PX2 && stretch.is_finite() && rate.is_finite() {
-            self.pending.insert(target, (stretch, rate));
+        let share = if self.seconds() > 0.0 { SHARE_OF_PATH } else { SHARE_OF_GAUSSIAN };
+        let counts = 1.0 / (1.0 + (share * stretch_px2 / STRETCH_SIGMA_PX2).powi(2));
+        let (square, stretch) = (rate.powi(2), stretch_px2 / self.pixels_per_radian.powi(2));
+        let sums = (counts * stretch * square, counts * square.powi(2));
+        if sums.0.is_finite() && sums.1.is_finite() {
+            self.pending.insert(target, sums);
         }
     }
 
@@ -78,9 +85,9 @@ impl ExposureEstimate {
     }
 
     pub(crate) fn end_frame(&mut self) {
-        for (stretch, rate) in std::mem::take(&mut self.pending).into_values() {
-            self.stretch = (1.0 - FORGETTING) * self.stretch + stretch * rate.powi(2);
-            self.weight = (1.0 - FORGETTING) * self.weight + rate.powi(4);
+        for (stretch, weight) in std::mem::take(&mut self.pending).into_values() {
+            self.stretch = (1.0 - FORGETTING) * self.stretch + stretch;
+            self.weight = (1.0 - FORGETTING) * self.weight + weight;
         }
     }
 }
@@ -106,11 +113,28 @@ mod tests {
     fn it_is_learned_from_fast_bodies_and_not_from_slow_ones() {
         let of = |exposure_s: f64, rate: f64| seen(exposure_s, &[rate; 40]).seconds();
         assert!((of(0.010, 0.55) - 0.010).abs() < 5e-4, "{}", of(0.010, 0.55));
-        // A path as long as this is not used.
-        assert_eq!(of(0.010, 1.0), 0.0);
+        assert!((of(0.010, 1.5) - 0.010).abs() < 5e-4, "{}", of(0.010, 1.5));
         assert!((of(0.005, 1.0) - 0.005).abs() < 5e-4, "{}", of(0.005, 1.0));
         assert_eq!(of(0.005, 0.1), 0.0);
         assert_eq!(seen(0.005, &[]).seconds(), 0.0);
+    }
+
+    #[test]
+    fn bodies_that_are_always_fast_show_it_too() {
+        let mut exposure = ExposureEstimate::new(None, PIXELS_PER_RADIAN);
+        let stretch_px2 = (0.010 * 1.5 * PIXELS_PER_RADIAN).powi(2) / 12.0;
+        // While it is not known, a Gaussian is fitted, whose variance is too large.
+        for _ in 0..3 {
+            exposure.note(0, 1.4 * stretch_px2, 1.5);
+            exposure.end_frame();
+        }
+        let first_s = exposure.seconds();
+        assert!((0.010..0.012).contains(&first_s), "{first_s}");
+        for _ in 0..15 {
+            exposure.note(0, stretch_px2, 1.5);
+            exposure.end_frame();
+        }
+        assert!((exposure.seconds() - 0.010).abs() < 3e-4, "{}", exposure.seconds());
     }
 
     #[test]
