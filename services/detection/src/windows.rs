@@ -56,29 +56,29 @@ const LEAST_STEP_CODES: u8 = 10;
 /// from its mean.
 type Window = (f64, DarkerBy);
 
-/// Windows for tiles, finest first.
-///
-/// The fine one finds markers in the shade and beside dark things, the coarse one bright markers.
-/// On drawn markers of 14 to 30 px, in a hall and in a panorama, these two have the most detections
-/// for their time: see docs/results/constants.md#threshold-windows. The two between them are taken
-/// where time does not matter. The narrower one finds markers in pictures that are far too dark,
-/// where white is only some code values brighter than black; the other one finds markers that
-/// shadows cross.
-const TILE_WINDOWS: &[Window] = &[
-    (7.0, DarkerBy::Codes(4)),
-    (15.0, DarkerBy::Codes(4)),
-    (31.0, DarkerBy::Percent(30)),
-    (31.0, DarkerBy::Codes(10)),
-];
+/// It finds markers in the shade and beside dark things.
+const FINE: Window = (7.0, DarkerBy::Codes(4));
+/// It finds bright markers.
+const COARSE: Window = (31.0, DarkerBy::Codes(10));
 
-/// Windows for regions of interest, finest first. These views are small, and a neighbour is
+/// Windows for proposals. On drawn markers of 14 to 30 px, in a hall and in a panorama, these two
+/// have the most detections for their time: see docs/results/constants.md#threshold-windows.
+const PROPOSAL_WINDOWS: &[Window] = &[FINE, COARSE];
+
+/// Windows for tiles, finest first. The two in the middle are taken where time does not matter. The
+/// narrower one finds markers in pictures that are far too dark, where white is only some code
+/// values brighter than black; the other one finds markers that shadows cross.
+const TILE_WINDOWS: &[Window] =
+    &[FINE, (15.0, DarkerBy::Codes(4)), (31.0, DarkerBy::Percent(30)), COARSE];
+
+/// Windows for regions of interest, finest first. These views are few and small, and a neighbour is
 /// expected in them, so more passes are worth their time.
 const REGION_WINDOWS: &[Window] = &[
     (5.5, DarkerBy::Codes(4)),
     (7.5, DarkerBy::Codes(4)),
     (15.0, DarkerBy::Codes(6)),
     (31.0, DarkerBy::Percent(30)),
-    (31.0, DarkerBy::Codes(10)),
+    COARSE,
 ];
 
 /// The widest window to each side of its middle, pixels of the view.
@@ -96,7 +96,8 @@ pub fn thresholds(
 ) -> impl Iterator<Item = Threshold> + Clone {
     let windows = match kind {
         ViewKind::Partition | ViewKind::HighResolution => TILE_WINDOWS,
-        ViewKind::Roi | ViewKind::Proposal => REGION_WINDOWS,
+        ViewKind::Proposal => PROPOSAL_WINDOWS,
+        ViewKind::Roi => REGION_WINDOWS,
     };
     let chosen = match search {
         Search::AllWindows => windows,
@@ -126,6 +127,7 @@ mod tests {
             assert_eq!(windows_px(kind, Search::CoarseWindow, 1.0), [31]);
             assert!(windows_px(kind, Search::Nothing, 1.0).is_empty());
         }
+        assert_eq!(windows_px(ViewKind::Proposal, Search::AllWindows, 1.0), [7, 31]);
         assert_eq!(windows_px(ViewKind::Roi, Search::AllWindows, 1.0), [5, 7, 15, 31, 31]);
         assert_eq!(windows_px(ViewKind::Roi, Search::FineWindow, 1.0), [5]);
     }

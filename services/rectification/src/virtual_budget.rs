@@ -10,9 +10,6 @@ const FIRST_INTERVAL_NS: i64 = 33_333_333;
 /// Maximum interval: a slower source does not increase the budget of a frame.
 const MAX_INTERVAL_NS: i64 = 1_000_000_000;
 
-/// Number of threshold windows for a proposal, as in detection.
-pub const PROPOSAL_WINDOWS: f64 = 5.0;
-
 /// Remaining processor time of a frame, by the configured costs.
 ///
 /// The budget is the interval to the frame before, on each processor. Source, regions of interest
@@ -64,11 +61,10 @@ impl VirtualBudget {
     /// Cost of a view from its cut to its poses, ms.
     fn cost_ms(&self, planned: &PlannedView) -> f64 {
         let costs = &self.costs;
-        let all_windows = if planned.is_proposal() { PROPOSAL_WINDOWS } else { 2.0 };
         let windows = match Search::try_from(planned.search) {
             Ok(Search::Nothing) => 0.0,
             Ok(Search::FineWindow | Search::CoarseWindow) => 1.0,
-            Ok(Search::AllWindows) | Err(_) => all_windows,
+            Ok(Search::AllWindows) | Err(_) => 2.0,
         };
         // Cutting and searching have a cost proportional to the pixels.
         let megapixels = f64::from(planned.size_px).powi(2) * 1e-6;
@@ -133,7 +129,7 @@ mod tests {
     }
 
     #[test]
-    fn proposals_cost_their_search_for_places_and_five_windows() {
+    fn proposals_cost_their_search_for_places_too() {
         let mut budget = VirtualBudget::new(Costs { proposals_ms: 4.7, ..costs() }, false);
         budget.begin_frame(&stamp(0, 0));
         budget.spend_look();
@@ -142,9 +138,9 @@ mod tests {
         (0..2).for_each(|_| budget.spend(&proposal));
         let proposal_fits =
             |budget: &VirtualBudget, needs_look: bool| budget.fits(&proposal, needs_look);
-        assert_eq!(tiles(&mut budget), 3, "56.7 - 4.7 - 2 * 0.25 * 42 = 31 ms");
-        budget.begin_frame(&stamp(1, 11));
-        // 22 - 10 ms are left: 10.5 for a proposal, or 15.2 with the look.
+        assert_eq!(tiles(&mut budget), 4, "56.7 - 4.7 - 2 * 0.25 * 18 = 43 ms");
+        budget.begin_frame(&stamp(1, 8));
+        // 16 - 10 ms are left: 4.5 for a proposal, or 9.2 with the look.
         assert!(proposal_fits(&budget, false) && !proposal_fits(&budget, true));
     }
 
