@@ -56,12 +56,12 @@ const LEAST_STEP_CODES: u8 = 10;
 /// from its mean.
 type Window = (f64, DarkerBy);
 
-/// It finds markers in the shade and beside dark things.
+/// Finds markers in the shade and beside dark things.
 const FINE: Window = (7.0, DarkerBy::Codes(4));
-/// It finds bright markers.
+/// Finds bright markers.
 const COARSE: Window = (31.0, DarkerBy::Codes(10));
 
-/// Windows for proposals. On drawn markers of 14 to 30 px, in a hall and in a panorama, these two
+/// Windows for proposals, finest first. On drawn markers of 14 to 30 px, in a hall and in a panorama, these two
 /// have the most detections for their time: see docs/results/constants.md#threshold-windows.
 const PROPOSAL_WINDOWS: &[Window] = &[FINE, COARSE];
 

@@ -6,17 +6,18 @@ use std::collections::BTreeMap;
 /// [`Alignment::stretch_px2`](flockeye_imaging::align::Alignment::stretch_px2)), pixels of the
 /// sphere image squared.
 const STRETCH_SIGMA_PX2: f64 = 0.3;
-/// Standard deviation of a long stretch, as a share of it, if the path is fitted as a path
+/// Standard deviation of a long stretch while an exposure is known, as a share of the stretch
 /// (docs/results/constants.md#motion-blur).
 const SHARE_OF_PATH: f64 = 0.13;
-/// The same share while no exposure is known. A Gaussian is fitted then, and it is longer than a
-/// path as long as a marker's cells.
+/// Standard deviation of a long stretch while no exposure is known, as a share of the stretch. A
+/// Gaussian is fitted then. Its variance is about 1.3 times that of a path of 4 to 8 px.
 const SHARE_OF_GAUSSIAN: f64 = 0.4;
 /// Largest relative standard deviation of the square of the exposure for its use.
 const MAX_UNCERTAINTY: f64 = 0.3;
-/// Loss of weight of earlier measurements with each frame, because exposures change with the light.
+/// Loss of weight of earlier measurements with each new one, because exposures change with the
+/// light.
 const FORGETTING: f64 = 0.01;
-/// Longest assumed exposure, seconds.
+/// Longest exposure, seconds. A longer one is that of a wrong stretch.
 const MAX_EXPOSURE_S: f64 = 0.05;
 
 /// Exposure time of frames.
@@ -28,10 +29,10 @@ const MAX_EXPOSURE_S: f64 = 0.05;
 pub(crate) struct ExposureEstimate {
     known_s: Option<f64>,
     pixels_per_radian: f64,
-    /// Sum of the stretch, radians squared, times s^2, over targets and frames. A long stretch, which
-    /// is less certain, counts less.
+    /// Weighted sum of stretch times s^2 over targets and frames, rad^4/s^2. A long stretch is less
+    /// certain, and has less weight.
     stretch: f64,
-    /// The sum of s^4, where each counts as much as its stretch.
+    /// Sum of s^4 with the same weights, rad^4/s^4.
     weight: f64,
     /// Sums of the open frame by target, so that the result does not depend on the order of
     /// measurements.
@@ -57,16 +58,22 @@ impl ExposureEstimate {
         let sigma_rad2 = STRETCH_SIGMA_PX2 / self.pixels_per_radian.powi(2);
         let uncertainty = 12.0 * sigma_rad2 / self.weight.sqrt();
         let is_known = squared > 0.0 && uncertainty < MAX_UNCERTAINTY * squared;
-        is_known.then(|| squared.sqrt().min(MAX_EXPOSURE_S))
+        is_known.then(|| squared.sqrt()).filter(|exposure_s| *exposure_s < MAX_EXPOSURE_S)
     }
 
     /// Adds a target that moved at this rate, radians per second. The stretch is the variance of
     /// its blur along the motion less that across it, pixels of the sphere image squared.
     pub(crate) fn note(&mut self, target: usize, stretch_px2: f64, rate: f64) {
-        let share = if self.seconds() > 0.0 { SHARE_OF_PATH } else { SHARE_OF_GAUSSIAN };
-        let counts = 1.0 / (1.0 + (share * stretch_px2 / STRETCH_SIGMA_PX2).powi(2));
+        let known_s = self.seconds();
+        // Weights from the measured stretch favour those that are too short.
+        let sigma_px2 = if known_s > 0.0 {
+            SHARE_OF_PATH * (rate * known_s * self.pixels_per_radian).powi(2) / 12.0
+        } else {
+            SHARE_OF_GAUSSIAN * stretch_px2
+        };
+        let weight = 1.0 / (1.0 + (sigma_px2 / STRETCH_SIGMA_PX2).powi(2));
         let (square, stretch) = (rate.powi(2), stretch_px2 / self.pixels_per_radian.powi(2));
-        let sums = (counts * stretch * square, counts * square.powi(2));
+        let sums = (weight * stretch * square, weight * square.powi(2));
         if sums.0.is_finite() && sums.1.is_finite() {
             self.pending.insert(target, sums);
         }
@@ -119,33 +126,51 @@ mod tests {
         assert_eq!(seen(0.005, &[]).seconds(), 0.0);
     }
 
+    /// Notes a body at 1.5 rad/s, blurred `wider` times as much as by this exposure, in some frames.
+    fn note(exposure: &mut ExposureEstimate, exposure_s: f64, wider: f64, frames: usize) {
+        for _ in 0..frames {
+            let stretch_px2 = (exposure_s * 1.5 * PIXELS_PER_RADIAN).powi(2) / 12.0;
+            exposure.note(0, wider * stretch_px2, 1.5);
+            exposure.end_frame();
+        }
+    }
+
     #[test]
     fn bodies_that_are_always_fast_show_it_too() {
         let mut exposure = ExposureEstimate::new(None, PIXELS_PER_RADIAN);
-        let stretch_px2 = (0.010 * 1.5 * PIXELS_PER_RADIAN).powi(2) / 12.0;
-        // While it is not known, a Gaussian is fitted, whose variance is too large.
-        for _ in 0..3 {
-            exposure.note(0, 1.4 * stretch_px2, 1.5);
-            exposure.end_frame();
-        }
-        let first_s = exposure.seconds();
-        assert!((0.010..0.012).contains(&first_s), "{first_s}");
-        for _ in 0..15 {
-            exposure.note(0, stretch_px2, 1.5);
-            exposure.end_frame();
-        }
+        // While no exposure is known, a Gaussian is fitted, whose variance is too large.
+        note(&mut exposure, 0.010, 1.4, 2);
+        assert!((0.010..0.012).contains(&exposure.seconds()), "{}", exposure.seconds());
+        note(&mut exposure, 0.010, 1.0, 15);
         assert!((exposure.seconds() - 0.010).abs() < 3e-4, "{}", exposure.seconds());
     }
 
     #[test]
-    fn it_follows_the_light() {
-        let mut exposure = seen(0.010, &[0.55; 300]);
-        for _ in 0..400 {
-            let path_px = 0.55 * 0.004 * PIXELS_PER_RADIAN;
-            exposure.note(0, path_px.powi(2) / 12.0, 0.55);
+    fn single_wrong_stretches_and_their_scatter_change_little() {
+        let mut exposure = ExposureEstimate::new(None, PIXELS_PER_RADIAN);
+        for wider in [0.87, 1.13].repeat(100) {
+            note(&mut exposure, 0.010, wider, 1);
+        }
+        assert!((exposure.seconds() - 0.010).abs() < 1e-4, "{}", exposure.seconds());
+        note(&mut exposure, 0.010, 0.0, 3);
+        assert!((exposure.seconds() - 0.010).abs() < 3e-4, "{}", exposure.seconds());
+        // Two stretches that no exposure explains.
+        let mut exposure = ExposureEstimate::new(None, PIXELS_PER_RADIAN);
+        for _ in 0..2 {
+            exposure.note(0, 3.0, 0.02);
             exposure.end_frame();
         }
-        assert!((exposure.seconds() - 0.004).abs() < 5e-4, "{}", exposure.seconds());
+        assert_eq!(exposure.seconds(), 0.0);
+    }
+
+    #[test]
+    fn it_follows_the_light() {
+        for (before_s, after_s) in [(0.010, 0.004), (0.004, 0.010)] {
+            let mut exposure = ExposureEstimate::new(None, PIXELS_PER_RADIAN);
+            note(&mut exposure, before_s, 1.0, 300);
+            note(&mut exposure, after_s, 1.0, 400);
+            assert!((exposure.seconds() - after_s).abs() < 1e-3, "{}", exposure.seconds());
+        }
     }
 
     #[test]

@@ -58,7 +58,7 @@ pub struct Tracker {
 
 impl Tracker {
     /// Creates targets before their first measurement. `exposure_s` is the exposure time of frames,
-    /// seconds. Without it the blur of moving bodies determines it with time.
+    /// seconds. Without it, it is learned from the blur of moving bodies.
     pub(crate) fn new(
         bodies: &Bodies,
         filter: Option<TrackPolicy>,

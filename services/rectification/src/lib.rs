@@ -34,7 +34,6 @@ mod silence_reports;
 mod stage;
 mod virtual_budget;
 
-
 /// The rectification stage's process. It is part of the library, so that it is compiled once.
 pub fn main() -> std::process::ExitCode {
     flockeye_runtime::stage::main::<stage::RectificationStage>()

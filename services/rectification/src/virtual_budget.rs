@@ -10,6 +10,10 @@ const FIRST_INTERVAL_NS: i64 = 33_333_333;
 /// Maximum interval: a slower source does not increase the budget of a frame.
 const MAX_INTERVAL_NS: i64 = 1_000_000_000;
 
+/// Number of threshold windows of a proposal in detection. Regions of interest have more, but they
+/// are few.
+const ALL_WINDOWS: f64 = 2.0;
+
 /// Remaining processor time of a frame, by the configured costs.
 ///
 /// The budget is the interval to the frame before, on each processor. Source, regions of interest
@@ -64,7 +68,7 @@ impl VirtualBudget {
         let windows = match Search::try_from(planned.search) {
             Ok(Search::Nothing) => 0.0,
             Ok(Search::FineWindow | Search::CoarseWindow) => 1.0,
-            Ok(Search::AllWindows) | Err(_) => 2.0,
+            Ok(Search::AllWindows) | Err(_) => ALL_WINDOWS,
         };
         // Cutting and searching have a cost proportional to the pixels.
         let megapixels = f64::from(planned.size_px).powi(2) * 1e-6;

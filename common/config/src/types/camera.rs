@@ -53,8 +53,8 @@ pub struct CameraSettings {
     /// Time between the first and the last row's exposure, milliseconds.
     #[schemars(range(min = 0.0, max = 1000.0))]
     pub readout_ms: f64,
-    /// How long a frame is exposed, milliseconds; 0: not known. Then the blur of moving neighbours shows it
-    /// after some seconds.
+    /// How long a frame is exposed, milliseconds; 0: not known. Then it is learned from the blur of tracked
+    /// neighbours, once one moves by more than about a pixel during the exposure.
     #[schemars(range(min = 0.0, max = 1000.0))]
     pub exposure_ms: f64,
 }
