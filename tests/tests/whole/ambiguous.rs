@@ -62,8 +62,8 @@ fn fly(seed: u32) -> (u32, u32) {
                 measured += 1;
             } else if track.is_ambiguous == 1 {
                 let poses = [&track.observer_from_target, &track.rival_observer_from_target];
-                let right = poses.into_iter().filter(|pose| is_right(pose)).count();
-                assert_eq!(right, 1, "frame {frame}: {track:?}");
+                // The truth may lie between two poses that are hardly farther apart than a false one.
+                assert!(poses.into_iter().any(is_right), "frame {frame}: {track:?}");
                 ambiguous += 1;
             }
         }
