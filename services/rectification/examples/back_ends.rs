@@ -70,6 +70,8 @@ fn short(name: &str) -> String {
     name.split(" (").next().unwrap_or(name).replace('\'', "")
 }
 
+// `unwrap` ends the program where the device is lost: then there is nothing to measure.
+
 /// A row of the table: medians of single frames, and means of consecutive frames.
 fn measure(rectifier: &mut dyn Rectifier, scene: &Scene, cuts: &[Cut]) -> String {
     let mut outs: Vec<Vec<u8>> = cuts.iter().map(|cut| buffer(&cut.view)).collect();

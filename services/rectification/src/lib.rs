@@ -34,6 +34,8 @@ mod silence_reports;
 mod stage;
 mod virtual_budget;
 
+pub use virtual_budget::PROPOSAL_WINDOWS;
+
 /// The rectification stage's process. It is part of the library, so that it is compiled once.
 pub fn main() -> std::process::ExitCode {
     flockeye_runtime::stage::main::<stage::RectificationStage>()

@@ -10,9 +10,9 @@ const FIRST_INTERVAL_NS: i64 = 33_333_333;
 /// Maximum interval: a slower source does not increase the budget of a frame.
 const MAX_INTERVAL_NS: i64 = 1_000_000_000;
 
-/// Number of threshold windows of a proposal in detection. Regions of interest have more, but they
-/// are few.
-const ALL_WINDOWS: f64 = 2.0;
+/// Number of threshold windows for a proposal, as in detection. Regions of interest, of which there
+/// are few, are charged alike, though they have more.
+pub const PROPOSAL_WINDOWS: f64 = 2.0;
 
 /// Remaining processor time of a frame, by the configured costs.
 ///
@@ -68,7 +68,7 @@ impl VirtualBudget {
         let windows = match Search::try_from(planned.search) {
             Ok(Search::Nothing) => 0.0,
             Ok(Search::FineWindow | Search::CoarseWindow) => 1.0,
-            Ok(Search::AllWindows) | Err(_) => ALL_WINDOWS,
+            Ok(Search::AllWindows) | Err(_) => PROPOSAL_WINDOWS,
         };
         // Cutting and searching have a cost proportional to the pixels.
         let megapixels = f64::from(planned.size_px).powi(2) * 1e-6;
@@ -133,7 +133,7 @@ mod tests {
     }
 
     #[test]
-    fn proposals_cost_their_search_for_places_too() {
+    fn proposals_cost_their_search_for_places_and_two_windows() {
         let mut budget = VirtualBudget::new(Costs { proposals_ms: 4.7, ..costs() }, false);
         budget.begin_frame(&stamp(0, 0));
         budget.spend_look();

@@ -3,10 +3,13 @@
 
 use std::path::Path;
 
+use flockeye_contract::{Search, ViewKind};
+use flockeye_detection::windows::thresholds;
 use flockeye_detection::{DarkerBy, Detector, DetectorParameters, MarkerInView, Threshold};
 use flockeye_geometry::view::View;
 use flockeye_imaging::image::LumaImage;
 use flockeye_imaging::light::{CodeRange, LinearLight, TransferCurve};
+use flockeye_rectification::PROPOSAL_WINDOWS;
 use flockeye_tests::{Scratch, run, succeeds};
 use gstreamer as gst;
 use gstreamer::prelude::*;
@@ -121,6 +124,13 @@ fn assert_sizes(found: &[(u32, f64)], wanted: &[(u32, f64)]) {
         println!("marker {id}: {side:.3} mm");
         assert!((side - wanted).abs() < 0.02, "marker {id}: {side} mm instead of {wanted}");
     }
+}
+
+/// Lossless runs charge a proposal by the windows that it is searched with, in another stage.
+#[test]
+fn a_proposal_is_charged_by_all_of_its_windows() {
+    let windows = thresholds(ViewKind::Proposal, Search::AllWindows, 1.0).count();
+    assert_eq!(windows as f64, PROPOSAL_WINDOWS);
 }
 
 #[test]
