@@ -107,7 +107,7 @@ class Bearings:
             return
         frame.views.add(header.view_index)
         for marker in markers:
-            if not marker.doubtful and marker.id in self.target_of:
+            if marker.id in self.target_of:
                 frame.rays[self.target_of[marker.id]] += [np.array(ray) for ray in marker.rays_in_camera]
 
     def on_end(self, header):

@@ -170,8 +170,7 @@ fn region(
         Aligner::new(bodies, |id| dictionary.print(id), camera.pixels_per_radian()).unwrap();
     let mut detector = Detector::new(DICTIONARY, DetectorParameters::default()).unwrap();
     let found = detector.detect(&picture.image, &view, &light);
-    let rays: Vec<CornerRay> =
-        found.iter().filter(|found| !found.is_doubtful).flat_map(rays_of).collect();
+    let rays: Vec<CornerRay> = found.iter().flat_map(rays_of).collect();
     let predicted = Isometry3::from_parts(
         Translation3::from(truth.translation.vector * 1.003),
         UnitQuaternion::from_euler_angles(0.005, 0.004, -0.006) * truth.rotation,
@@ -193,7 +192,7 @@ fn region(
         });
         timed(&mut costs.initiation, 1.0, || {
             let sought = Sought { target: 0, picture, starts: &from_corners(), budget };
-            aligner.initiate(&sought, unknown, false, &mut Vec::new())
+            aligner.initiate(&sought, unknown, &mut Vec::new())
         });
         timed(&mut costs.background_pass, 1.0, || aligner.reacquire(0, picture, &predicted));
     }

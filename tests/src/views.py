@@ -53,8 +53,6 @@ def main():
         header = message.header
         there = seen[(header.stamp.sequence, header.view_index, header.attempt)]
         for marker in message.items:
-            if marker.doubtful:
-                continue
             if marker.id not in there:
                 off += 1
                 continue

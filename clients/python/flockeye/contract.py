@@ -322,7 +322,7 @@ class DetectedMarker(Contract):
         ("deviations", c_double * 4),
         ("corners_in_view", c_float * 2 * 4),
         ("id", c_uint32),
-        ("doubtful", c_uint32),
+        ("reserved", c_uint32),
     ]
 
 

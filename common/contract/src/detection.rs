@@ -44,7 +44,7 @@ pub struct DetectionHeader {
     pub reserved: u32,
 }
 
-/// One decoded marker, or a square that may be one.
+/// One decoded marker.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable, ZeroCopySend, Described)]
 #[type_name("flockeye/DetectedMarker")]
 #[repr(C)]
@@ -58,16 +58,8 @@ pub struct DetectedMarker {
     pub corners_in_view: [[f32; 2]; 4],
     /// The marker's id in its dictionary.
     pub id: u32,
-    /// 0: decoded. 1: not decoded, but a square that is probably this marker of a configured body.
-    /// A pose may be initialised from it, but it is no evidence.
-    pub doubtful: u32,
-}
-
-impl DetectedMarker {
-    /// Whether it was decoded. Otherwise it is only a square that may be the marker.
-    pub fn is_decoded(&self) -> bool {
-        self.doubtful == 0
-    }
+    /// Always 0. Squares that were not decoded are not sent.
+    pub reserved: u32,
 }
 
 /// Maximum number of markers in a record; larger records are refused.
@@ -88,12 +80,16 @@ impl DetectionHeader {
         }
     }
 
-    /// Refuses records with rays that are no unit vectors or with invalid standard deviations.
+    /// Refuses records with rays that are no unit vectors, with invalid standard deviations, or with
+    /// squares that were not decoded.
     pub fn check(&self, markers: &[DetectedMarker]) -> Result<(), ContractError> {
         check_count("markers in a view", markers.len(), MAX_DETECTED_MARKERS)?;
-        let decoded = markers.iter().filter(|marker| marker.is_decoded()).count();
-        check_count("hits among the markers", self.hits as usize, decoded)?;
+        check_count("hits among the markers", self.hits as usize, markers.len())?;
         for marker in markers {
+            // Builds before contract version 8 marked squares here that were not decoded.
+            if marker.reserved != 0 {
+                return Err(ContractError::Code { what: "reserved", code: marker.reserved });
+            }
             for ray in &marker.rays_in_camera {
                 let norm = ray.iter().map(|x| x * x).sum::<f64>().sqrt();
                 // NaN compares false, so it is refused too.

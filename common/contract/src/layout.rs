@@ -152,12 +152,11 @@ fn senseless_plans_and_detections_are_refused() {
     assert!(Detections::check(&header, &[sure]).unwrap_err().to_string().contains("deviation"));
     let boasting = DetectionHeader { hits: 3, ..header };
     assert!(Detections::check(&boasting, &[marker]).unwrap_err().to_string().contains("3 hits"));
-    // A square that was not decoded is no hit.
-    let doubtful = DetectedMarker { doubtful: 1, ..marker };
-    assert_eq!(Detections::check(&header, &[doubtful]), Ok(()));
     let hit = DetectionHeader { hits: 1, ..header };
     assert_eq!(Detections::check(&hit, &[marker]), Ok(()));
-    assert!(Detections::check(&hit, &[doubtful]).is_err());
+    let undecoded = DetectedMarker { reserved: 1, ..marker };
+    let refused = Detections::check(&header, &[undecoded]).unwrap_err().to_string();
+    assert_eq!(refused, "unknown reserved code 1");
 }
 
 #[test]

@@ -46,9 +46,7 @@ impl Core {
             },
             ..DetectorParameters::default()
         };
-        let expected = bodies.iter().flat_map(|body| &body.markers).map(|marker| marker.id);
-        let kind = pipeline.detection.engine;
-        let engine = Engine::new(kind, &bodies.dictionary, parameters, expected)?
+        let engine = Engine::new(pipeline.detection.engine, &bodies.dictionary, parameters)?
             .with_mask(resolved.mask()?.clone());
         engine.dictionary().check(bodies)?;
         Ok(Self {
@@ -66,10 +64,9 @@ impl Core {
         &self.bodies.dictionary
     }
 
-    /// The record for a view: its header without the times of the search, and the markers found,
-    /// doubtful ones last. An error in their place has the reason why the view could not be
-    /// searched; the header acknowledges the view all the same. `None` if the view is meant for
-    /// another worker.
+    /// The record for a view: its header without the times of the search, and the markers found.
+    /// An error in their place has the reason why the view could not be searched; the header
+    /// acknowledges the view all the same. `None` if the view is meant for another worker.
     pub fn on_view(
         &mut self,
         header: &ViewHeader,
@@ -82,8 +79,7 @@ impl Core {
         if let Ok(found) = &mut found {
             found.truncate(MAX_MARKERS);
         }
-        let is_hit =
-            |found: &&MarkerInView| !found.is_doubtful && self.bodies.owner(found.id).is_some();
+        let is_hit = |found: &&MarkerInView| self.bodies.owner(found.id).is_some();
         let header = DetectionHeader {
             generation: self.generation,
             worker: self.worker,
@@ -115,7 +111,7 @@ fn detected(found: &MarkerInView) -> DetectedMarker {
         deviations: found.deviations_rad,
         corners_in_view: found.corners_in_view.map(|corner| [corner.0.x as f32, corner.0.y as f32]),
         id: found.id,
-        doubtful: u32::from(found.is_doubtful),
+        reserved: 0,
     }
 }
 

@@ -17,7 +17,7 @@ use crate::candidates::{Candidates, Finder};
 use crate::drawn::SAMPLE_CELLS;
 use crate::parameters::{DetectError, DetectorParameters, check_thresholds};
 use crate::quad::{Quad, centre, rotated, with_parallelogram_corner};
-use crate::reader::{Correlations, Decoded, Explained, MarkerReader};
+use crate::reader::{Decoded, Explained, MarkerReader};
 use crate::reading::Reading;
 use crate::shape::is_square;
 use crate::windows::Threshold;
@@ -28,9 +28,6 @@ const MIN_IMAGE_PX: usize = 16;
 /// Standard deviation of a corner whose edges could not be fitted, pixels. Something covers them
 /// then, and outlines are off by one to three pixels.
 const UNREFINED_PX: f64 = 2.0;
-
-/// Most doubtful markers that a view gives.
-pub const MAX_DOUBTFUL: usize = 4;
 
 // Limits of detection; docs/results/constants.md#limits-of-detection has the detections and false
 // detections with other values.
@@ -101,9 +98,6 @@ pub struct MarkerInView {
     pub is_refined: bool,
     /// Normalized correlation of its cells with those of the marker: 1 is perfect.
     pub correlation: f32,
-    /// Whether the marker was not decoded: a square that is probably this marker. A pose may start
-    /// from it and must be confirmed by something else.
-    pub is_doubtful: bool,
 }
 
 /// Finds the markers of one dictionary.
@@ -112,8 +106,6 @@ pub struct Detector {
     reader: MarkerReader,
     parameters: DetectorParameters,
     mask: Option<Mask>,
-    /// Ids that a doubtful square may have.
-    expected: Vec<u32>,
     grain: Grain,
     finder: Finder,
 }
@@ -133,17 +125,9 @@ impl Detector {
             reader,
             parameters,
             mask: None,
-            expected: Vec::new(),
             grain: Grain::Pixels,
             finder: Finder::default(),
         })
-    }
-
-    /// Reports squares that cannot be decoded as doubtful markers, if they look like one of these
-    /// ids.
-    pub fn with_expected(self, ids: impl IntoIterator<Item = u32>) -> Self {
-        let known = ids.into_iter().filter(|&id| self.dictionary.print(id).is_some());
-        Self { expected: known.collect(), ..self }
     }
 
     /// Leaves out squares on what `mask` hides.
@@ -178,7 +162,7 @@ impl Detector {
     }
 
     /// Finds every marker in `image`, the picture of `view`, by rising id. One id may be at several
-    /// places. After them come at most [`MAX_DOUBTFUL`] doubtful ones of other ids, the best first.
+    /// places.
     pub fn detect(
         &mut self,
         image: &LumaImage<'_>,
@@ -190,7 +174,6 @@ impl Detector {
         }
         let Candidates { whole, completed } = self.finder.find(image, &self.parameters);
         let mut found: Vec<MarkerInView> = Vec::new();
-        let mut doubtful: Vec<MarkerInView> = Vec::new();
         // Several thresholds may give the same square; it would be read with the same result.
         let mut read = HashSet::new();
         for quad in whole.iter().chain(&completed) {
@@ -200,11 +183,7 @@ impl Detector {
             {
                 continue;
             }
-            match self.read(image, view, light, quad) {
-                Some(marker) if marker.is_doubtful => doubtful.push(marker),
-                Some(marker) => found.push(marker),
-                None => {}
-            }
+            found.extend(self.read(image, view, light, quad));
         }
         let order = |a: &MarkerInView, b: &MarkerInView| {
             let likelier = b.correlation.total_cmp(&a.correlation);
@@ -213,11 +192,10 @@ impl Detector {
         found.sort_by(order);
         keep_best_of_each_place(&mut found);
         found.sort_by_key(|marker| marker.id);
-        add_doubtful(&mut found, doubtful);
         found
     }
 
-    /// The marker in a quadrilateral, decoded or doubtful.
+    /// The marker in a quadrilateral, if one is accepted.
     fn read(
         &self,
         image: &LumaImage<'_>,
@@ -229,28 +207,14 @@ impl Detector {
         if mean_side_px(&near) < self.parameters.min_side_px {
             return None;
         }
-        let correlations = self.reader.compare(&self.reading(image, light, &near)?)?;
-        self.decoded(image, view, light, &near, &correlations)
-            .or_else(|| self.doubtful(view, &near, &correlations))
-    }
-
-    /// The marker in a square, if one is accepted.
-    fn decoded(
-        &self,
-        image: &LumaImage<'_>,
-        view: &View,
-        light: &LinearLight,
-        near: &Quad,
-        correlations: &Correlations,
-    ) -> Option<MarkerInView> {
-        let decoded = correlations.best()?;
+        let decoded = self.reader.compare(&self.reading(image, light, &near)?)?.best()?;
         let is_worth_fitting =
             decoded.log_likelihood_ratio() >= WORTH_FITTING * MIN_LOG_LIKELIHOOD_RATIO;
         if !is_worth_fitting {
             return None;
         }
         let print = self.dictionary.print(decoded.id)?;
-        let outline = rotated(near, decoded.first_corner);
+        let outline = rotated(&near, decoded.first_corner);
         let (corners, reading, explained) =
             self.with_hidden_corner(image, light, &outline, print)?;
         let (decoded, lighting) = (decoded.with(&explained), explained.lighting());
@@ -314,21 +278,6 @@ impl Detector {
             }
         }
         Some(best)
-    }
-
-    /// The expected marker with the highest similarity to a square, if that is high enough.
-    fn doubtful(
-        &self,
-        view: &View,
-        near: &Quad,
-        correlations: &Correlations,
-    ) -> Option<MarkerInView> {
-        let likely = correlations.best_among(self.expected.iter().copied())?;
-        likely.is_likelier_than_no_marker().then(|| MarkerInView {
-            correlation: likely.correlation,
-            is_doubtful: true,
-            ..found_at(view, likely.id, rotated(near, likely.first_corner), [UNREFINED_PX; 4])
-        })
     }
 
     /// The cells of a square that has a quiet zone.
@@ -412,7 +361,6 @@ pub(crate) fn found_at(
         }),
         is_refined: false,
         correlation: 0.0,
-        is_doubtful: false,
     }
 }
 
@@ -437,20 +385,6 @@ fn keep_best_of_each_place(found: &mut Vec<MarkerInView>) {
 fn is_same_place(known: &MarkerInView, marker: &MarkerInView) -> bool {
     let apart = centre(&known.corners_in_view) - centre(&marker.corners_in_view);
     apart.norm() <= SAME_PLACE_SHARE * mean_side_px(&known.corners_in_view)
-}
-
-/// Adds the best of the doubtful markers: each id once, none that was decoded, and none at the
-/// place of another marker.
-fn add_doubtful(found: &mut Vec<MarkerInView>, mut doubtful: Vec<MarkerInView>) {
-    doubtful.sort_by(|a, b| b.correlation.total_cmp(&a.correlation).then(a.id.cmp(&b.id)));
-    let most = found.len() + MAX_DOUBTFUL;
-    for marker in doubtful {
-        let is_new =
-            found.iter().all(|known| known.id != marker.id && !is_same_place(known, &marker));
-        if is_new && found.len() < most {
-            found.push(marker);
-        }
-    }
 }
 
 /// Whether a quadrilateral is another outline of a marker that was found already.

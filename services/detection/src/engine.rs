@@ -30,13 +30,9 @@ impl Engine {
         kind: DetectionEngine,
         dictionary: &str,
         parameters: DetectorParameters,
-        expected: impl IntoIterator<Item = u32>,
     ) -> Result<Self, DetectError> {
         Ok(match kind {
-            DetectionEngine::Own => {
-                let detector = Detector::new(dictionary, parameters)?.with_expected(expected);
-                Self::Own(Box::new(detector))
-            }
+            DetectionEngine::Own => Self::Own(Box::new(Detector::new(dictionary, parameters)?)),
             DetectionEngine::OpenCv => Self::OpenCv(Box::new(OpenCvDetector::new(dictionary)?)),
         })
     }
@@ -57,7 +53,7 @@ impl Engine {
         }
     }
 
-    /// Finds every marker in `image`, the picture of `view`, by rising id, doubtful ones last.
+    /// Finds every marker in `image`, the picture of `view`, by rising id.
     /// `image` has `magnification` pixels for each of the sphere image, along either axis.
     ///
     /// # Errors

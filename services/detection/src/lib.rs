@@ -31,7 +31,7 @@ mod stage;
 mod three_corners;
 pub mod windows;
 
-pub use detector::{Detector, MAX_DOUBTFUL, MarkerInView};
+pub use detector::{Detector, MarkerInView};
 pub use engine::Engine;
 pub use opencv_detector::OpenCvDetector;
 pub use parameters::{DetectError, DetectorParameters};

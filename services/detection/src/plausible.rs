@@ -20,17 +20,13 @@ const CENTRE_SLACK: f64 = 0.5;
 ///
 /// Two markers contradict each other if they face away from each other, or if their apparent sizes
 /// put them farther apart than they are on the body. The marker with most contradictions is removed
-/// first, then the one with the lowest correlation. Doubtful markers count against doubtful ones
-/// only: in a hall full of windows several would contradict a decoded marker. Markers that no
-/// configured body carries stay.
+/// first, then the one with the lowest correlation. Markers that no configured body carries stay.
 pub fn keep_plausible(mut found: Vec<MarkerInView>, bodies: &Bodies) -> Vec<MarkerInView> {
     loop {
         let contradicted: Vec<usize> = (0..found.len())
             .map(|k| {
                 let others = found.iter().enumerate().filter(|(other, _)| *other != k);
-                let counted =
-                    others.filter(|(_, other)| found[k].is_doubtful || !other.is_doubtful);
-                counted.filter(|(_, other)| contradict(&found[k], other, bodies)).count()
+                others.filter(|(_, other)| contradict(&found[k], other, bodies)).count()
             })
             .collect();
         let worst = (0..found.len()).filter(|&k| contradicted[k] > 0).max_by(|&a, &b| {
@@ -93,7 +89,6 @@ mod tests {
             deviations_rad: [1e-4; 4],
             is_refined: true,
             correlation,
-            is_doubtful: false,
         }
     }
 
@@ -152,24 +147,5 @@ mod tests {
         let kept = keep_plausible(all, &bodies);
         let expected: Vec<MarkerInView> = found.iter().chain(&unrelated).cloned().collect();
         assert_eq!(kept, expected);
-    }
-
-    #[test]
-    fn doubtful_markers_do_not_contradict_a_decoded_one() {
-        let bodies = bodies();
-        let alpha = bodies.get(0).unwrap();
-        let pose = Isometry3::translation(1.0, 0.2, 0.1);
-        let read = visible(alpha, &pose)[0].clone();
-        let others = alpha.markers.iter().filter(|marker| marker.id != read.id);
-        // At other places of the view and other ranges.
-        let doubtful: Vec<MarkerInView> = (0..4)
-            .zip(others)
-            .map(|(k, marker)| {
-                let elsewhere = Isometry3::translation(0.4, 0.3 * f64::from(k) - 0.5, 0.2);
-                MarkerInView { is_doubtful: true, ..seen(marker, &elsewhere, 0.99) }
-            })
-            .collect();
-        let all = doubtful.iter().chain([&read]).cloned().collect();
-        assert_eq!(keep_plausible(all, &bodies), [read]);
     }
 }

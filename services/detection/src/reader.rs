@@ -51,11 +51,6 @@ impl Decoded {
         log_likelihood_ratio(self.cells, self.correlation, self.runner_up)
     }
 
-    /// Whether the square is likelier to be this marker than no marker.
-    pub(crate) fn is_likelier_than_no_marker(&self) -> bool {
-        self.correlation > NO_MARKER_CORRELATION
-    }
-
     /// The marker after a closer comparison, which can only lower its correlation.
     pub(crate) fn with(self, explained: &Explained) -> Self {
         Self { correlation: self.correlation.min(explained.correlation()), ..self }
@@ -218,20 +213,13 @@ pub(crate) struct Correlations {
 }
 
 impl Correlations {
-    /// The marker with the largest correlation.
+    /// The marker with the largest correlation. `None` for an empty dictionary.
     pub(crate) fn best(&self) -> Option<Decoded> {
-        self.best_among(0..self.count as u32)
-    }
-
-    /// The marker with the largest correlation among these ids of the dictionary. The likelihood
-    /// ratio is relative to the next of them.
-    pub(crate) fn best_among(&self, ids: impl Iterator<Item = u32> + Clone) -> Option<Decoded> {
         let mut best: Option<Decoded> = None;
         let mut runner_up = NO_MARKER_CORRELATION;
         for (first_corner, correlations) in self.by_rotation.iter().enumerate() {
-            let correlations = correlations.as_flattened();
-            for id in ids.clone() {
-                let correlation = correlations[id as usize];
+            let correlations = &correlations.as_flattened()[..self.count];
+            for (id, &correlation) in (0..).zip(correlations) {
                 match best {
                     Some(best) if correlation <= best.correlation => {
                         runner_up = runner_up.max(correlation);
@@ -354,9 +342,6 @@ mod tests {
             let best = correlations.best().unwrap();
             assert_eq!((best.id, best.first_corner), (last, 1));
             assert!(best.correlation > 0.95 && best.log_likelihood_ratio() > 10.0, "{best:?}");
-            let best = correlations.best_among([3, last, 7].into_iter()).unwrap();
-            assert_eq!((best.id, best.first_corner), (last, 1));
-            assert!(correlations.best_among(std::iter::empty()).is_none());
         }
         let dictionary = Dictionary::load("DICT_5X5_250").unwrap();
         assert!(MarkerReader::new(&dictionary).compare(&reading(&[0.5; 49], 5)).is_none());

@@ -25,7 +25,7 @@ impl Recall {
     fn new() -> Self {
         let detector = Detector::new("DICT_5X5_250", DetectorParameters::default()).unwrap();
         let light = LinearLight::new(TransferCurve::Srgb, CodeRange::Full).unwrap();
-        Self { detector: detector.with_expected(0..34), light, dice: Dice(99), gain: 1.0 }
+        Self { detector, light, dice: Dice(99), gain: 1.0 }
     }
 
     /// One marker with a side of `side` px before it is tilted, and its id.
@@ -49,17 +49,16 @@ impl Recall {
         self.detector.detect(&image, &view, &self.light)
     }
 
-    /// Draws 40 markers. Returns how many are found, and how many are found only as doubtful,
-    /// percent.
+    /// Draws 40 markers. Returns how many are found, percent.
     fn measure(
         &mut self,
         side: f64,
         tilt_deg: f64,
         blur: f64,
         change: impl Fn(&mut Scene, &mut Dice),
-    ) -> (u32, u32) {
+    ) -> u32 {
         const MARKERS: u32 = 40;
-        let (mut found, mut doubtful) = (0, 0);
+        let mut found = 0;
         for _ in 0..MARKERS {
             let (mut scene, id) = self.scene(side, tilt_deg, blur);
             change(&mut scene, &mut self.dice);
@@ -71,7 +70,7 @@ impl Recall {
                         error.norm() < 0.2 * side
                     })
             };
-            let wrong = markers.iter().find(|m| !m.is_doubtful && !is_right(m));
+            let wrong = markers.iter().find(|m| !is_right(m));
             // A marker whose cells are hardly wider than the blur may be misread. So a pose needs
             // two markers that agree.
             let is_read = cell_in_blurs(side, tilt_deg, blur) > 2.0;
@@ -80,13 +79,10 @@ impl Recall {
                 "a marker that is not there: side {side} tilt {tilt_deg} blur {blur}, {id} at {:?}: {wrong:?}",
                 scene.corners
             );
-            found += u32::from(markers.iter().any(|m| is_right(&m) && !m.is_doubtful));
-            doubtful += u32::from(markers.iter().any(|m| is_right(&m) && m.is_doubtful));
+            found += u32::from(markers.iter().any(|m| is_right(&m)));
         }
-        println!(
-            "side {side} tilt {tilt_deg} blur {blur}: {found} of {MARKERS}, {doubtful} doubtful"
-        );
-        (100 * found / MARKERS, 100 * doubtful / MARKERS)
+        println!("side {side} tilt {tilt_deg} blur {blur}: {found} of {MARKERS}");
+        100 * found / MARKERS
     }
 }
 
@@ -103,7 +99,7 @@ fn markers_are_found_where_cells_are_wider_than_the_blur() {
     for side in [14.0, 16.0, 20.0, 30.0, 60.0] {
         for tilt in [0.0, 30.0, 50.0] {
             for blur in [0.6, 0.9, 1.2] {
-                let (found, _) = recall.measure(side, tilt, blur, |_, _| {});
+                let found = recall.measure(side, tilt, blur, |_, _| {});
                 shares.push((side, tilt, blur, found));
             }
         }
@@ -124,7 +120,7 @@ fn markers_that_saturate_the_sensor_are_found() {
         recall.gain = gain;
         for side in [16.0, 20.0, 25.0, 30.0, 40.0, 60.0] {
             for tilt in [0.0, 40.0] {
-                let (found, _) = recall.measure(side, tilt, 0.9, |_, _| {});
+                let found = recall.measure(side, tilt, 0.9, |_, _| {});
                 shares.push((
                     gain,
                     side,
@@ -147,7 +143,7 @@ fn markers_in_stripes_of_sun_are_found() {
     let mut recall = Recall::new();
     for (side, shade, least) in [(30.0, 0.25, 50), (60.0, 0.25, 85), (60.0, 0.125, 40)] {
         for tilt in [0.0, 40.0] {
-            let (found, _) = recall.measure(side, tilt, 0.9, |scene, dice| {
+            let found = recall.measure(side, tilt, 0.9, |scene, dice| {
                 scene.stripes = Some(Stripes::of_shade(shade, dice));
             });
             assert!(found >= least, "side {side} tilt {tilt} shade {shade}: {found} %");
@@ -160,7 +156,7 @@ fn markers_with_a_strut_across_one_corner_are_found() {
     let mut recall = Recall::new();
     for side in [20.0, 30.0, 60.0] {
         for tilt in [0.0, 30.0] {
-            let (found, _) = recall.measure(side, tilt, 0.9, |scene, dice| {
+            let found = recall.measure(side, tilt, 0.9, |scene, dice| {
                 scene.strut = Some(dice.uniform(0.0, 4.0) as usize);
             });
             assert!(found >= 90, "side {side} tilt {tilt}: {found} %");
@@ -173,7 +169,7 @@ fn markers_with_a_strut_across_one_corner_are_found() {
 fn markers_at_long_range_are_found_although_blurred_by_a_cell() {
     let mut recall = Recall::new();
     for (side, blur) in [(16.0, 1.8), (18.0, 2.0)] {
-        let (found, _) = recall.measure(side, 0.0, blur, |_, _| {});
+        let found = recall.measure(side, 0.0, blur, |_, _| {});
         assert!(found >= 40, "side {side} blur {blur}: {found} %");
     }
 }

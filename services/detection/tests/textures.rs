@@ -26,7 +26,6 @@ impl Observer {
         let list = vec![squares("alpha", 0.0625, 0.05, 0), squares("bravo", 0.0625, 0.05, 17)];
         let bodies = Bodies::new(dictionary.into(), list).unwrap();
         let detector = Detector::new(dictionary, DetectorParameters::default()).unwrap();
-        let detector = detector.with_expected(0..34);
         let light = LinearLight::new(TransferCurve::Srgb, CodeRange::Full).unwrap();
         Self { detector, bodies, light }
     }
@@ -35,10 +34,7 @@ impl Observer {
     fn decoded(&mut self, picture: &Picture, view: &View) -> Vec<MarkerInView> {
         let found = self.detector.detect(&picture.image(), view, &self.light);
         let found = keep_plausible(found, &self.bodies);
-        found
-            .into_iter()
-            .filter(|marker| !marker.is_doubtful && self.bodies.owner(marker.id).is_some())
-            .collect()
+        found.into_iter().filter(|marker| self.bodies.owner(marker.id).is_some()).collect()
     }
 
     /// How many bodies have a pose that two markers agree on.

@@ -74,8 +74,6 @@ pub struct Trial {
     pub is_confirmed: bool,
     /// Ids of the markers that were decoded.
     pub decoded: Vec<u32>,
-    /// Ids of squares that are probably markers.
-    pub doubtful: Vec<u32>,
     /// Poses from the decoded corners, the cheapest first.
     pub corner_poses: Vec<CornerPose>,
     /// Poses that were compared with the picture, in the order in which they were tried.
@@ -97,7 +95,6 @@ impl Trial {
             predicted: prior.predicted().map(|predicted| predicted.camera_from_markers),
             is_confirmed: prior.confirmed().is_some(),
             decoded: Vec::new(),
-            doubtful: Vec::new(),
             corner_poses: Vec::new(),
             hypotheses: Vec::new(),
             decision: Decision::default(),

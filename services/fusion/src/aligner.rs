@@ -28,8 +28,6 @@ pub(crate) struct BestView<'p> {
     pub picture: Picture<'p>,
     /// Its place in the plan.
     pub(crate) view_index: u32,
-    /// Number of squares in it that fit one pose, if no marker was decoded and there is no track.
-    pub(crate) agreeing: u32,
     /// Distance for which its rays are exact, metres. It matters for lenses off the camera's
     /// centre.
     pub(crate) rays_m: f64,
@@ -146,13 +144,12 @@ impl Aligner {
         sought: &Sought<'_>,
         is_marked: impl Fn(&Isometry3<f64>) -> bool,
         confirmed: Option<&PoseEstimate>,
-        needs_facets: bool,
         round: Option<&PoseEstimate>,
         tried: &mut Vec<Hypothesis>,
     ) -> Decision {
         let decision = match confirmed {
             Some(predicted) => self.confirm(sought, predicted, is_marked, tried),
-            None => self.initiate(sought, is_marked, needs_facets, tried),
+            None => self.initiate(sought, is_marked, tried),
         };
         match round {
             Some(predicted) => {
@@ -235,12 +232,10 @@ impl Aligner {
     ///
     /// With a limited budget the first accepted pose that several facets support ends the search.
     /// All starts of an untracked target took 113 ms, and every other pose waits for them.
-    /// `needs_facets`: see [`decide::of_untracked`].
     pub fn initiate(
         &self,
         sought: &Sought<'_>,
         is_marked: impl Fn(&Isometry3<f64>) -> bool,
-        needs_facets: bool,
         tried: &mut Vec<Hypothesis>,
     ) -> Decision {
         let Sought { target, picture, starts, budget } = *sought;
@@ -260,7 +255,7 @@ impl Aligner {
             tried.push(self.competing(target, StartSource::Mirror, found, &is_marked));
         }
         // The mirror pose may be the likelier one.
-        decide::of_untracked(tried, decide::likeliest(tried), needs_facets)
+        decide::of_untracked(tried, decide::likeliest(tried))
     }
 
     /// A hypothesis that competes with others, with the evidence for it alone.
@@ -347,7 +342,7 @@ impl Aligner {
             starts.into_iter().map(|start| (StartSource::Place, Start::Rough(start))).collect();
         // The first pose that several facets support is enough, because starts come best first.
         let sought = Sought { target, picture, starts: &starts, budget: TimeBudget::OneFrame };
-        self.initiate(&sought, |_| false, false, tried)
+        self.initiate(&sought, |_| false, tried)
     }
 
     /// Aligns from a start. The pose may belong to no body.

@@ -87,8 +87,6 @@ pub enum Verdict {
     Rivals(f64),
     /// A rival of the likeliest one.
     Rival,
-    /// Only one facet supports it, and starts of the background pass may find support by another.
-    OneFacetAlone,
     /// The pose contradicts the track.
     OutsideGate,
     /// Nothing could be compared.
@@ -231,11 +229,6 @@ fn has_precise_pose(hypothesis: &Hypothesis) -> bool {
     hypothesis.alignment().is_some_and(|found| found.is_precise)
 }
 
-/// Whether several facets support a pose.
-fn is_unambiguous(hypothesis: &Hypothesis) -> bool {
-    hypothesis.alignment().is_some_and(|found| found.evidence.is_unambiguous())
-}
-
 /// Whether the picture alone proves a pose: it is precise and likely, and several facets support it,
 /// so that no mirror pose does.
 pub(crate) fn is_proven(found: &Alignment) -> bool {
@@ -318,25 +311,18 @@ pub(crate) fn likeliest(tried: &[Hypothesis]) -> Option<usize> {
 }
 
 /// Decides about poses of a body that no confirmed track predicts. The [`likeliest`] one must lead
-/// over its rivals. If one facet alone may not decide yet (`needs_facets`), several must support it.
-pub(crate) fn of_untracked(
-    tried: &[Hypothesis],
-    likeliest: Option<usize>,
-    needs_facets: bool,
-) -> Decision {
+/// over its rivals.
+pub(crate) fn of_untracked(tried: &[Hypothesis], likeliest: Option<usize>) -> Decision {
     let mut decision = Decision::nothing(tried);
     for (index, _) in competitors(tried).filter(|(index, _)| is_likely(&tried[*index])) {
         let is_precise = has_precise_pose(&tried[index]);
         let verdict = if is_precise { Verdict::LessLikely } else { Verdict::Imprecise };
         decision.give_reason(index, verdict);
     }
-    let Some(best) = likeliest else { return decision };
-    decision.choose_among(tried, best, |_| true);
-    let is_undecided = decision.lead.is_some() || !is_unambiguous(&tried[best]);
-    match needs_facets && is_undecided && decision.chosen.is_some() {
-        true => decision.refused(Verdict::OneFacetAlone),
-        false => decision,
+    if let Some(best) = likeliest {
+        decision.choose_among(tried, best, |_| true);
     }
+    decision
 }
 
 /// Whether no search around the prediction is needed, because a precise pose is chosen.

@@ -73,7 +73,7 @@ pub(crate) fn with_view_of<T>(
     let light = LinearLight::new(TransferCurve::Srgb, CodeRange::Full).unwrap();
     let (image, view) = (drawing.image(), drawing.view);
     let picture = Picture::still(image, view, &light, PIXELS_PER_RADIAN);
-    by(&BestView { picture, view_index: 0, agreeing: 0, rays_m: f64::INFINITY })
+    by(&BestView { picture, view_index: 0, rays_m: f64::INFINITY })
 }
 
 /// Position error of a pose, metres.

@@ -25,8 +25,6 @@ pub struct Hypothesis {
 pub enum StartSource {
     /// Corners of decoded markers.
     Corners,
-    /// Corners of squares that are probably markers.
-    DoubtfulSquares,
     /// The track's prediction. An ambiguous track has two.
     Prediction,
     /// The track's prediction, with a coarse fit before the fine one.

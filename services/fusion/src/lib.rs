@@ -76,7 +76,7 @@ pub use self::decide::outcome::Outcome;
 pub use self::decide::{Decision, PoseIndex, Verdict};
 pub use self::hypothesis::{CornerPose, CornerVerdict, Hypothesis, StartSource};
 pub use self::journal::{Journal, entry_of};
-pub use self::measurement::{PoseMeasurement, candidate_rays, decoded_rays};
+pub use self::measurement::{PoseMeasurement, decoded_rays};
 pub use self::output::Writer;
 pub use self::policy::TimeBudget;
 pub use self::record::Record;

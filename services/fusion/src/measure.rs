@@ -7,9 +7,9 @@
 //! | kind | starts from | requires | runs |
 //! | --- | --- | --- | --- |
 //! | direct | the prediction alone | a confirmed track | when a region of interest has been cut |
-//! | region | markers, squares like them, the prediction | two markers, where no picture decides | when that region has been searched |
+//! | region | markers, the prediction | two markers, where no picture decides | when that region has been searched |
 //! | complete | those of all views | two markers, or one with a confirmed track | when the frame is complete |
-//! | background | markers without a confirmed track, squares like them, the rough prediction, a search round it | a picture | beside the others: it takes several times as long |
+//! | background | markers without a confirmed track, the rough prediction, a search round it | a picture | beside the others: it takes several times as long |
 //! | place | nothing, in any attitude | no track | when a single image is complete |
 
 pub(crate) mod background;
@@ -32,13 +32,11 @@ impl Pass {
     /// Starts of the alignment, in this order: corners first, because they need no track. Rough
     /// starts cost most.
     pub(crate) fn starts(self) -> &'static [StartSource] {
-        use StartSource::{Corners, DoubtfulSquares, Place, Prediction, RoughPrediction};
+        use StartSource::{Corners, Place, Prediction, RoughPrediction};
         match self {
             Self::Direct => &[Prediction],
-            Self::Region | Self::Complete => {
-                &[Corners, DoubtfulSquares, Prediction, RoughPrediction]
-            }
-            Self::Background => &[Corners, DoubtfulSquares, RoughPrediction],
+            Self::Region | Self::Complete => &[Corners, Prediction, RoughPrediction],
+            Self::Background => &[Corners, RoughPrediction],
             Self::Place => &[Place],
         }
     }
@@ -89,7 +87,6 @@ pub(crate) fn distinct_decoded<'m>(
     markers: impl Iterator<Item = &'m DetectedMarker>,
     body: &Body,
 ) -> u32 {
-    let decoded = markers.filter(|marker| marker.is_decoded());
-    let ids: BTreeSet<u32> = decoded.map(|marker| marker.id).collect();
+    let ids: BTreeSet<u32> = markers.map(|marker| marker.id).collect();
     ids.iter().filter(|&&id| body.marker(id).is_some()).count() as u32
 }

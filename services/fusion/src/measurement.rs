@@ -4,7 +4,7 @@ use flockeye_contract::{DetectedMarker, MeasuredBy};
 use flockeye_geometry::Ray;
 use flockeye_geometry::body::Body;
 use flockeye_geometry::filter::RivalPose;
-use flockeye_geometry::pose::{CornerRay, PoseEstimate, solve};
+use flockeye_geometry::pose::{CornerRay, PoseEstimate};
 use flockeye_geometry::view::{View, ViewPixel};
 use flockeye_imaging::align::Alignment;
 use nalgebra::{Unit, Vector2, Vector3};
@@ -54,33 +54,7 @@ pub fn decoded_rays<'m>(
     body: &Body,
     markers: impl IntoIterator<Item = &'m DetectedMarker>,
 ) -> Vec<CornerRay> {
-    own_rays(body, markers.into_iter().filter(|marker| marker.is_decoded()))
-}
-
-/// Corner rays of squares that are only probably markers of `body`. Alignment may start from them;
-/// no pose is measured by them.
-pub fn candidate_rays<'m>(
-    body: &Body,
-    markers: impl IntoIterator<Item = &'m DetectedMarker>,
-) -> Vec<CornerRay> {
-    own_rays(body, markers.into_iter().filter(|marker| !marker.is_decoded()))
-}
-
-/// Largest number of probable markers of `body` that fit one of its poses: at least two, or none.
-///
-/// One square may look like a marker in any clutter. Two that are placed to each other as on the
-/// body do not occur by chance.
-pub(crate) fn agreeing_candidates(body: &Body, rays: &[CornerRay]) -> u32 {
-    if marker_ids(rays).len() < 2 {
-        return 0;
-    }
-    let solutions = solve(body, rays).unwrap_or_default();
-    let agreeing = solutions.iter().map(|solution| solution.inlier_markers.len() as u32);
-    agreeing.filter(|markers| *markers >= 2).max().unwrap_or(0)
-}
-
-fn own_rays<'m>(body: &Body, markers: impl Iterator<Item = &'m DetectedMarker>) -> Vec<CornerRay> {
-    let own = markers.filter(|marker| body.marker(marker.id).is_some());
+    let own = markers.into_iter().filter(|marker| body.marker(marker.id).is_some());
     own.flat_map(|marker| {
         (0..4).map(|corner| CornerRay {
             marker_id: marker.id,

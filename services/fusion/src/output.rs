@@ -48,8 +48,7 @@ impl Cause {
     /// The cause of a pose from records: the last record with a marker of `body`.
     pub(crate) fn of_records(records: &[&Record], body: &Body) -> Self {
         let shows = |record: &&&Record| {
-            let mut decoded = record.markers.iter().filter(|marker| marker.is_decoded());
-            decoded.any(|marker| body.marker(marker.id).is_some())
+            record.markers.iter().any(|marker| body.marker(marker.id).is_some())
         };
         let last = records.iter().filter(shows).max_by_key(|record| record.header.sent_ns);
         last.map_or(Self::Nothing, |Record { header, .. }| Self::Record {

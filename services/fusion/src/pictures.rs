@@ -34,11 +34,11 @@ impl PictureReader {
         &'c mut self,
         held: &'c HeldViews<P>,
     ) -> BestViews<'c> {
-        let views = held.best.iter().map(|(target, (quality, header, pixels))| {
-            ((*target, quality.agreeing), header, (**pixels).as_ref())
-        });
-        let read = self.read_all(views).into_iter();
-        read.map(|((target, agreeing), view)| (target, BestView { agreeing, ..view })).collect()
+        let views = held
+            .best
+            .iter()
+            .map(|(target, (_, header, pixels))| (*target, header, (**pixels).as_ref()));
+        self.read_all(views).into_iter().collect()
     }
 
     /// Pictures of places.
@@ -89,6 +89,6 @@ impl PictureReader {
         );
         let parallax = self.parallax.as_ref();
         let rays_m = parallax.map_or(f64::INFINITY, |parallax| parallax.distance_m(Some(header)));
-        Some(BestView { picture, view_index: header.view_index, agreeing: 0, rays_m })
+        Some(BestView { picture, view_index: header.view_index, rays_m })
     }
 }

@@ -58,10 +58,10 @@ export class Overlay {
   }
 
   markers(frame) {
-    for (const { id, rays, doubtful } of frame.markers) {
+    for (const { id, rays } of frame.markers) {
       const at = this.stroke(this.finer(rays, 2), {
-        colour: "#4de3e3", alpha: doubtful ? 0.45 : 0.95, dash: doubtful ? [2, 2] : [], close: true });
-      if (!at || doubtful) continue;
+        colour: "#4de3e3", alpha: 0.95, close: true });
+      if (!at) continue;
       const side = Math.hypot(at[0][0] - at[2][0], at[0][1] - at[2][1]);
       if (side > 22) {
         const middle = this.sphere.project(rays.reduce(add));

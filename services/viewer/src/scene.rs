@@ -289,11 +289,7 @@ fn region(view: &PlannedView, stamp: &FrameStamp) -> wire::RegionView {
 }
 
 fn detected(marker: &DetectedMarker) -> wire::Detected {
-    wire::Detected {
-        id: marker.id,
-        doubtful: !marker.is_decoded(),
-        rays: marker.rays_in_camera.map(|ray| ray.map(|x| x as f32)),
-    }
+    wire::Detected { id: marker.id, rays: marker.rays_in_camera.map(|ray| ray.map(|x| x as f32)) }
 }
 
 fn track(track: &Track) -> wire::TrackSummary {

@@ -200,8 +200,6 @@ pub(crate) struct RegionView {
 pub(crate) struct Detected {
     /// Its number in the dictionary.
     pub id: u32,
-    /// Whether the marker was not decoded, and only resembles this one.
-    pub doubtful: bool,
     /// Unit rays of its corners in the camera frame.
     pub rays: [[f32; 3]; 4],
 }

@@ -421,14 +421,14 @@ typedef struct {
     double deviations[4];
     float corners_in_view[4][2];
     uint32_t id;
-    uint32_t doubtful;
+    uint32_t reserved;
 } flockeye_detected_marker;
 static_assert(sizeof(flockeye_detected_marker) == 168, "DetectedMarker");
 static_assert(offsetof(flockeye_detected_marker, rays_in_camera) == 0, "DetectedMarker.rays_in_camera");
 static_assert(offsetof(flockeye_detected_marker, deviations) == 96, "DetectedMarker.deviations");
 static_assert(offsetof(flockeye_detected_marker, corners_in_view) == 128, "DetectedMarker.corners_in_view");
 static_assert(offsetof(flockeye_detected_marker, id) == 160, "DetectedMarker.id");
-static_assert(offsetof(flockeye_detected_marker, doubtful) == 164, "DetectedMarker.doubtful");
+static_assert(offsetof(flockeye_detected_marker, reserved) == 164, "DetectedMarker.reserved");
 
 /* In iceoryx2: flockeye/FrameEnd. */
 typedef struct {

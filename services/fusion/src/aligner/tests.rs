@@ -48,7 +48,7 @@ fn initiate(
     let starts = with_sources(starts);
     let sought = Sought { target: 0, picture, starts: &starts, budget };
     let mut tried = Vec::new();
-    let decision = aligner.initiate(&sought, |_| false, false, &mut tried);
+    let decision = aligner.initiate(&sought, |_| false, &mut tried);
     decision.chosen_of(&tried).filter(|_| decision.lead.is_none()).cloned()
 }
 
@@ -284,7 +284,7 @@ fn a_body_in_a_mirror_is_nowhere() {
             let starts = with_sources(&[start]);
             let budget = TimeBudget::Unlimited;
             let sought = Sought { target: 0, picture: &picture, starts: &starts, budget };
-            let decision = aligner.initiate(&sought, |_| false, false, &mut Vec::new());
+            let decision = aligner.initiate(&sought, |_| false, &mut Vec::new());
             assert_eq!(decision.chosen, None, "axis {axis}, step {step}");
             tried += 1;
         }
@@ -333,7 +333,7 @@ fn each_hypothesis_has_its_reason() {
         let (verdicts, _) = decided(picture, &[Start::Fine(truth), Start::Fine(truth)], confirm);
         assert_eq!(verdicts, [Verdict::Accepted]);
         let initiate = |sought: &Sought<'_>, tried: &mut Vec<Hypothesis>| {
-            aligner.initiate(sought, |_| false, false, tried)
+            aligner.initiate(sought, |_| false, tried)
         };
         let starts = [Start::Fine(pose(0.8, 4.0)), Start::Fine(truth), Start::Rough(truth)];
         let (verdicts, list) = decided(picture, &starts, initiate);
@@ -352,7 +352,7 @@ fn rivals_are_named_with_their_lead() {
     let truth = facing(&body, 1.8);
     with_picture_of(&body, &truth, |aligner, picture| {
         let (verdicts, list) = decided(picture, &[Start::Fine(truth)], |sought, tried| {
-            aligner.initiate(sought, |_| false, false, tried)
+            aligner.initiate(sought, |_| false, tried)
         });
         let [Verdict::Rivals(lead), Verdict::Rival] = verdicts[..] else { panic!("{verdicts:?}") };
         assert!((0.0..least_lead()).contains(&lead.abs()), "{lead}");

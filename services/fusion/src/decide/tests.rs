@@ -76,14 +76,14 @@ fn the_same_pose_twice_is_chosen_once() {
     assert_eq!(decision.chosen, Some(PoseIndex::Hypothesis(0)));
     assert_eq!(decision.reasons, [Verdict::Accepted, Verdict::LessLikely]);
     let twice = [tried(0.0, 9.0, true), tried(0.0, 9.0, true)];
-    let decision = of_untracked(&twice, likeliest(&twice), false);
+    let decision = of_untracked(&twice, likeliest(&twice));
     assert_eq!(decision.chosen, Some(PoseIndex::Hypothesis(1)));
     assert_eq!(decision.reasons, [Verdict::LessLikely, Verdict::Accepted]);
 }
 
 #[test]
 fn an_untracked_pose_must_lead_its_rivals() {
-    let decide = |all: &[Hypothesis]| of_untracked(all, likeliest(all), false);
+    let decide = |all: &[Hypothesis]| of_untracked(all, likeliest(all));
     let alone = decide(&[tried(0.0, 14.0, true), tried(0.5, 8.0, true)]);
     assert_eq!((alone.chosen, alone.rivals), (Some(PoseIndex::Hypothesis(0)), vec![1]));
     assert_eq!(alone.lead, None);
@@ -148,13 +148,11 @@ fn a_vague_prediction_says_little_against_a_mirror_pose() {
 
 #[test]
 fn one_facet_alone_waits_for_the_other_starts() {
-    let one = [tried(0.0, 9.0, true)];
-    let decision = of_untracked(&one, likeliest(&one), true);
-    assert_eq!((decision.chosen, decision.reasons), (None, vec![Verdict::OneFacetAlone]));
-    let several = one.map(told_by_facets);
-    assert!(of_untracked(&several, likeliest(&several), true).chosen.is_some());
-    assert!(ends_competition(&several[0], TimeBudget::OneFrame));
-    assert!(!ends_competition(&several[0], TimeBudget::Unlimited));
+    let one = tried(0.0, 9.0, true);
+    assert!(!ends_competition(&one, TimeBudget::OneFrame));
+    let several = told_by_facets(one);
+    assert!(ends_competition(&several, TimeBudget::OneFrame));
+    assert!(!ends_competition(&several, TimeBudget::Unlimited));
 }
 
 #[test]

@@ -13,8 +13,6 @@ pub(crate) struct Attempt {
     pub(crate) view_index: Option<u32>,
     /// The number of rays of decoded corners. A frame's records only add to it.
     pub(crate) decoded: usize,
-    /// The number of rays of squares that are probably markers.
-    pub(crate) candidates: usize,
     /// Its time budget.
     pub(crate) budget: TimeBudget,
 }

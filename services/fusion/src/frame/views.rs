@@ -10,7 +10,6 @@ use flockeye_contract::ViewHeader;
 use flockeye_geometry::body::Body;
 use flockeye_geometry::search::StopRule;
 
-use crate::measurement::{agreeing_candidates, candidate_rays};
 use crate::record::Record;
 
 /// The views of one frame that are held, with `P` the hold on their pixels.
@@ -30,12 +29,8 @@ pub(crate) struct ViewQuality {
     pub(crate) is_own: bool,
     /// Whether the target has a track that is not stale. Then its region of interest comes first.
     pub(crate) is_followed: bool,
-    /// Decoded markers of the target. Squares that only look like markers are found in many views,
-    /// so they do not count.
+    /// Decoded markers of the target.
     pub(crate) decoded: u32,
-    /// Squares that only look like its markers and fit one pose of it, if nothing was decoded and
-    /// there is no track, or a stale one.
-    pub(crate) agreeing: u32,
     /// Its focal length, pixels.
     pub(crate) focal_px: f64,
     /// Distance of the target from its middle, as a tangent.
@@ -58,18 +53,13 @@ impl ViewQuality {
     ) -> Option<Self> {
         let middle = (f64::from(view.size_px) - 1.0) / 2.0;
         let of_body = record.markers.iter().filter(|marker| body.marker(marker.id).is_some());
-        let decoded = of_body.clone().filter(|marker| marker.is_decoded()).count() as u32;
-        let counted = of_body.filter(|marker| marker.is_decoded() || decoded == 0);
-        let agreeing = match decoded == 0 && !is_followed {
-            true => agreeing_candidates(body, &candidate_rays(body, &record.markers)),
-            false => 0,
-        };
+        let decoded = of_body.clone().count() as u32;
         let (mut sum, mut count) = ([0.0; 2], 0.0);
-        for [u, v] in counted.flat_map(|marker| marker.corners_in_view) {
+        for [u, v] in of_body.flat_map(|marker| marker.corners_in_view) {
             sum = [sum[0] + f64::from(u), sum[1] + f64::from(v)];
             count += 1.0;
         }
-        if !is_own && count == 0.0 {
+        if !is_own && decoded == 0 {
             return None;
         }
         let view_index = view.view_index;
@@ -80,13 +70,13 @@ impl ViewQuality {
                     _ => (sum[0] / count - middle).hypot(sum[1] / count - middle),
                 };
                 let (focal_px, off_centre) = (view.focal_px, off_px / view.focal_px);
-                Self { is_own, is_followed, decoded, agreeing, focal_px, off_centre, view_index }
+                Self { is_own, is_followed, decoded, focal_px, off_centre, view_index }
             }
             // Views beyond the first hit are ignored, so the earliest view must win.
             StopRule::FirstHit => {
-                let (decoded, agreeing, focal_px, off_centre) = (0, 0, 0.0, 0.0);
+                let (decoded, focal_px, off_centre) = (0, 0.0, 0.0);
                 let is_own = false;
-                Self { is_own, is_followed, decoded, agreeing, focal_px, off_centre, view_index }
+                Self { is_own, is_followed, decoded, focal_px, off_centre, view_index }
             }
         })
     }
@@ -95,7 +85,6 @@ impl ViewQuality {
         (self.is_own && self.is_followed)
             .cmp(&(other.is_own && other.is_followed))
             .then(self.decoded.cmp(&other.decoded))
-            .then(self.agreeing.cmp(&other.agreeing))
             .then(self.is_own.cmp(&other.is_own))
             .then(self.focal_px.total_cmp(&other.focal_px))
             .then(other.off_centre.total_cmp(&self.off_centre))
@@ -139,15 +128,7 @@ mod tests {
 
     fn quality(is_own: bool, focal_px: f64, off_centre: f64, view_index: u32) -> ViewQuality {
         let is_followed = true;
-        ViewQuality {
-            is_own,
-            is_followed,
-            decoded: 0,
-            agreeing: 0,
-            focal_px,
-            off_centre,
-            view_index,
-        }
+        ViewQuality { is_own, is_followed, decoded: 0, focal_px, off_centre, view_index }
     }
 
     #[test]
@@ -172,22 +153,12 @@ mod tests {
     }
 
     #[test]
-    fn decoded_markers_rank_above_squares_that_look_like_markers() {
-        let squares = quality(false, 1200.0, 0.0, 0);
-        let markers = ViewQuality { decoded: 1, ..quality(false, 611.0, 0.4, 1) };
-        assert!(markers.is_above(&squares) && !squares.is_above(&markers));
-        let agreeing = ViewQuality { agreeing: 2, ..quality(false, 611.0, 0.4, 2) };
-        assert!(agreeing.is_above(&squares) && markers.is_above(&agreeing));
-    }
-
-    #[test]
     fn markers_elsewhere_rank_above_the_region_of_a_stale_target() {
         let own = quality(true, 900.0, 0.0, 0);
-        let squares = quality(false, 1200.0, 0.0, 1);
-        let markers = ViewQuality { decoded: 1, ..squares };
+        let markers = ViewQuality { decoded: 1, ..quality(false, 1200.0, 0.0, 1) };
         assert!(own.is_above(&markers), "a followed target is in its region");
-        let [own, squares, markers] =
-            [own, squares, markers].map(|quality| ViewQuality { is_followed: false, ..quality });
-        assert!(markers.is_above(&own) && own.is_above(&squares));
+        let [own, markers] =
+            [own, markers].map(|quality| ViewQuality { is_followed: false, ..quality });
+        assert!(markers.is_above(&own));
     }
 }

@@ -1,11 +1,9 @@
 //! The background pass, which takes several times as long as the other passes.
 //!
 //! A target that is not at its predicted place may be found from rougher starts, or by a search
-//! around the prediction. A target without a track may be found from all poses that its markers
-//! allow. On two busy processors starts take 20 to 70 ms and the search 60 to 150. Other poses
-//! should not wait for that. So these passes run beside the others, one at a time. A request is
-//! refused while another runs, because a newer frame will repeat it. Only an untracked target may
-//! queue behind a tracked one, because newer frames may not show it for a while.
+//! around the prediction. On two busy processors starts take 20 to 70 ms and the search 60 to 150.
+//! Other poses should not wait for that. So these passes run beside the others, one at a time. A
+//! request is refused while another runs, because a newer frame will repeat it.
 
 use flockeye_contract::FrameOrder;
 use std::collections::BTreeSet;
@@ -26,15 +24,13 @@ use crate::decide::markers::supports;
 use crate::hypothesis::StartSource;
 use crate::policy::TimeBudget;
 
-/// Background passes that run, wait, or were refused. It holds no thread: the caller of
+/// Background passes that run or were refused. It holds no thread: the caller of
 /// [`BackgroundQueue::take_job`] returns the answer to [`BackgroundQueue::finish`].
 #[derive(Debug, Default)]
 pub(crate) struct BackgroundQueue {
     pub(crate) under_way: Option<UnderWay>,
     /// The job that was granted, until it is taken.
     to_run: Option<Job>,
-    /// The next job.
-    waiting: Option<Job>,
     /// The target of the last job.
     last: Option<usize>,
     /// Targets that were refused a job since.
@@ -48,29 +44,17 @@ pub(crate) struct UnderWay {
     pub(crate) target: usize,
     /// Distance for which the view's rays are exact, metres.
     pub(crate) rays_m: f64,
-    is_untracked: bool,
     /// Whether the target was measured in that frame meanwhile.
     pub(crate) is_cancelled: bool,
 }
 
 impl BackgroundQueue {
-    /// Requests a pass, and returns whether it is granted. It is refused while another runs, but an
-    /// untracked target may queue behind a tracked one. A target that had the last pass goes behind
-    /// those that were refused meanwhile.
+    /// Requests a pass, and returns whether it is granted. It is refused while another runs. A
+    /// target that had the last pass goes behind those that were refused meanwhile.
     pub(crate) fn request(&mut self, time: FrameTime, inputs: &PassInputs<'_>) -> bool {
         let target = inputs.target;
         if let Some(under_way) = &self.under_way {
             if under_way.target != target {
-                let is_untracked = inputs.prior.predicted().is_none();
-                let is_own = |job: &Job| job.target == target;
-                if is_untracked
-                    && !under_way.is_untracked
-                    && self.waiting.as_ref().is_none_or(is_own)
-                    && let Some(job) = Job::new(time, inputs)
-                {
-                    self.waiting = Some(job);
-                    return true;
-                }
                 self.refused.insert(target);
             }
             return false;
@@ -81,18 +65,13 @@ impl BackgroundQueue {
             self.refused.clear();
             return false;
         }
-        let job = Job::new(time, inputs);
-        let is_granted = job.is_some();
-        job.into_iter().for_each(|job| self.start(job));
-        is_granted
-    }
-
-    fn start(&mut self, job: Job) {
-        let Job { time, target, is_untracked, view: CopiedView { rays_m, .. }, .. } = job;
+        let Some(job) = Job::new(inputs) else { return false };
         self.refused.remove(&target);
         self.last = Some(target);
-        self.under_way = Some(UnderWay { time, target, rays_m, is_untracked, is_cancelled: false });
+        let rays_m = job.view.rays_m;
+        self.under_way = Some(UnderWay { time, target, rays_m, is_cancelled: false });
         self.to_run = Some(job);
+        true
     }
 
     /// Returns the job to run now, once.
@@ -100,10 +79,8 @@ impl BackgroundQueue {
         self.to_run.take()
     }
 
-    /// Cancels the running pass for a target in a frame, because the target was measured there. A
-    /// waiting job of that target is dropped too: a newer frame has measured it.
+    /// Cancels the running pass for a target in a frame, because the target was measured there.
     pub(crate) fn cancel(&mut self, order: FrameOrder, target: usize) {
-        self.waiting.take_if(|job| job.target == target);
         if let Some(under_way) = &mut self.under_way
             && (under_way.time.order, under_way.target) == (order, target)
         {
@@ -117,29 +94,21 @@ impl BackgroundQueue {
         Some(under_way.time.order)
     }
 
-    /// Whether a pass over a frame runs or waits, cancelled or not.
+    /// Whether a pass over a frame runs, cancelled or not.
     pub(crate) fn is_about(&self, order: FrameOrder) -> bool {
-        let under_way = self.under_way.iter().map(|under_way| under_way.time);
-        let mut times = under_way.chain(self.waiting.iter().map(|job| job.time));
-        times.any(|time| time.order == order)
+        self.under_way.as_ref().is_some_and(|under_way| under_way.time.order == order)
     }
 
-    /// Ends the running job, and starts the one that waits.
+    /// Ends the running job.
     pub(crate) fn finish(&mut self) -> Option<UnderWay> {
-        let finished = self.under_way.take();
-        if let Some(next) = self.waiting.take() {
-            self.start(next);
-        }
-        finished
+        self.under_way.take()
     }
 }
 
 /// All inputs of a background pass, copied, so that its view can be released.
 #[derive(Debug)]
 pub struct Job {
-    time: FrameTime,
     target: usize,
-    is_untracked: bool,
     body: Body,
     /// The trial, before the pass.
     trial: Box<Trial>,
@@ -187,12 +156,10 @@ impl CopiedView {
 
 impl Job {
     /// `None` where there is no view.
-    fn new(time: FrameTime, inputs: &PassInputs<'_>) -> Option<Self> {
+    fn new(inputs: &PassInputs<'_>) -> Option<Self> {
         let predicted = inputs.prior.predicted().copied();
         Some(Self {
-            time,
             target: inputs.target,
-            is_untracked: predicted.is_none(),
             body: inputs.body.clone(),
             trial: Box::new(Trial { pass: Pass::Background, ..inputs.trial.clone() }),
             view: CopiedView::of(inputs.best_view.as_ref()?),
@@ -212,9 +179,7 @@ impl Job {
             let sought = Sought { target, picture, starts, budget };
             let is_marked = |pose: &Isometry3<f64>| supports(&self.body, &self.decoded, pose);
             let (confirmed, round) = (self.confirmed.as_ref(), self.search_round.as_ref());
-            // No start is left for later, so one facet may decide.
-            let needs_facets = false;
-            aligner.find(&sought, is_marked, confirmed, needs_facets, round, &mut tried)
+            aligner.find(&sought, is_marked, confirmed, round, &mut tried)
         });
         let decision = decision.unwrap_or_default();
         (self.trial.decision, self.trial.hypotheses) = (decision, tried);

@@ -24,8 +24,6 @@ pub(crate) struct PassInputs<'f> {
     pub(crate) body: &'f Body,
     /// Rays of its decoded markers' corners.
     pub(crate) decoded: Vec<CornerRay>,
-    /// Rays of squares that are probably its markers: alignment may start from them.
-    pub(crate) candidates: Vec<CornerRay>,
     /// Distance for which the rays are exact, metres; infinite where it does not matter.
     pub(crate) rays_m: f64,
     pub(crate) prior: TrackPrior,
@@ -45,15 +43,8 @@ impl PassInputs<'_> {
         Attempt {
             view_index: self.best_view.map(|view| view.view_index),
             decoded: self.decoded.len(),
-            candidates: self.candidates.len(),
             budget: self.trial.budget,
         }
-    }
-
-    /// Whether an attempt, after the failed one, is worth its time.
-    fn is_new(&self, attempt: impl Fn(&Attempt) -> Attempt) -> bool {
-        let failed = self.part.and_then(Part::failed);
-        failed.is_none_or(|failed| !attempt(&failed).is_pointless_after(&failed))
     }
 
     /// Measures the target: by the picture from the starts of the pass, and by corners alone. The
@@ -102,22 +93,16 @@ impl PassInputs<'_> {
     ) -> Decision {
         let attempt = self.attempt();
         let Trial { pass, budget, is_deferred, .. } = self.trial;
-        let fine_is_new =
-            self.is_new(|failed| Attempt { candidates: failed.candidates, ..attempt });
-        let squares_are_new = self.is_new(|_| attempt);
-        let starts = self.starts(pass, corners, |source| match source {
-            StartSource::DoubtfulSquares => squares_are_new && !is_deferred,
-            StartSource::RoughPrediction => fine_is_new && !is_deferred,
-            _ => fine_is_new,
+        let failed = self.part.and_then(Part::failed);
+        let is_new = failed.is_none_or(|failed| !attempt.is_pointless_after(&failed));
+        let starts = self.starts(pass, corners, |source| {
+            is_new && !(is_deferred && source == StartSource::RoughPrediction)
         });
         let sought =
             Sought { target: self.target, picture: &view.picture, starts: &starts, budget };
         let is_marked = |pose: &Isometry3<f64>| supports(self.body, &self.decoded, pose);
         let confirmed = self.prior.confirmed();
-        // A pose must win against all starts, the deferred ones too.
-        let needs_facets = is_deferred && self.prior.predicted().is_none();
-        let round = self.search_round();
-        let decision = aligner.find(&sought, is_marked, confirmed, needs_facets, round, tried);
+        let decision = aligner.find(&sought, is_marked, confirmed, self.search_round(), tried);
         // A direct pass accepts only a certain pose: others wait for markers. The decision above
         // also accepts a supported one.
         match pass {
@@ -144,7 +129,6 @@ impl PassInputs<'_> {
                         (StartSource::Corners, Start::Fine(solution.camera_from_markers))
                     }));
                 }
-                StartSource::DoubtfulSquares => starts.extend(self.candidate_starts()),
                 StartSource::Prediction => starts.extend(predicted.clone().map(|predicted| {
                     let fine = (source, Start::Fine(predicted));
                     self.rejected_start(&predicted).unwrap_or(fine)
@@ -160,13 +144,6 @@ impl PassInputs<'_> {
             }
         }
         starts
-    }
-
-    fn candidate_starts(&self) -> impl Iterator<Item = (StartSource, Start)> {
-        let solutions = solve(self.body, &self.candidates);
-        let solutions = solutions.unwrap_or_default().into_iter().take(STARTS_FROM_CORNERS);
-        let start = |solution: PoseSolution| Start::Rough(solution.camera_from_markers);
-        solutions.map(move |solution| (StartSource::DoubtfulSquares, start(solution)))
     }
 
     /// Result of the direct pass from the same start in the same view.
@@ -221,7 +198,6 @@ mod tests {
             trial: Trial { decoded: marker_ids(&decoded), ..begun },
             may_search: false,
             decoded,
-            candidates: Vec::new(),
             rays_m: f64::INFINITY,
             prior,
             best_view: None,

@@ -1,7 +1,6 @@
 //! The corner pass: measures targets by their markers, and by the picture from there.
 
 use flockeye_contract::MeasuredBy;
-use flockeye_geometry::pose::CornerRay;
 
 use super::{Tracker, Update};
 use crate::account::{AccountEntry, NotRun, Pass, Trial};
@@ -9,7 +8,7 @@ use crate::decide::outcome::Outcome;
 use crate::frame::parts::{Part, Status};
 use crate::measure::inputs::PassInputs;
 use crate::measure::{AnsweredView, BestViews, FrameTime};
-use crate::measurement::{PoseMeasurement, candidate_rays, decoded_rays, marker_ids};
+use crate::measurement::{PoseMeasurement, decoded_rays, marker_ids};
 use crate::parallel;
 use crate::policy::{TimeBudget, is_search_turn};
 use crate::track_prior::TrackPrior;
@@ -101,8 +100,10 @@ impl Tracker {
     ) -> Trial {
         let prior = self.prior(target, time.at_s);
         let is_open = prior.confirmed().is_some() && part.is_region_tried;
+        // Only starts round a prediction take long.
         let is_deferred = budget != TimeBudget::Unlimited
             && has_background
+            && prior.predicted().is_some()
             && (is_open || self.tracks_others(target));
         Trial { is_deferred, ..Trial::of(pass, &prior, budget) }
     }
@@ -144,46 +145,31 @@ impl Tracker {
         });
         let motion = self.motion(target, time.at_s, &prior);
         let best_view = best_views.get(&target).map(|view| view.moving(motion));
-        let (mut decoded, mut candidates) = (Vec::new(), Vec::new());
+        let mut decoded = Vec::new();
         for AnsweredView { record, view, .. } in answered {
-            let mut of_view =
-                [decoded_rays(body, &record.markers), candidate_rays(body, &record.markers)];
+            let mut of_view = decoded_rays(body, &record.markers);
             if let Some(parallax) = &self.camera.parallax {
                 let from_m = parallax.distance_m(*view);
-                for ray in of_view.iter_mut().flatten() {
+                for ray in &mut of_view {
                     ray.ray_in_camera = parallax.brought(&ray.ray_in_camera, from_m, rays_m);
                 }
             }
-            let [of_markers, of_squares] = of_view;
-            decoded.extend(of_markers);
-            candidates.extend(of_squares.into_iter().map(|ray| (record.header.view_index, ray)));
+            decoded.extend(of_view);
         }
-        // Single squares are no evidence of an untracked target: a chequered wall has enough of
-        // them. Two in its best view, placed to each other as on the body, are a start.
-        let is_known = !decoded.is_empty() || prior.predicted().is_some();
-        let best_index = best_view.map(|best| best.view_index);
-        candidates.retain(|(view_index, _)| is_known || Some(*view_index) == best_index);
-        let candidates: Vec<CornerRay> = candidates.into_iter().map(|(_, ray)| ray).collect();
-        let is_measurable = match best_view {
-            None => !decoded.is_empty(),
-            Some(best) => is_known || best.agreeing > 0,
-        };
-        if !is_measurable {
-            let is_tracked = prior.predicted().is_some();
+        let is_tracked = prior.predicted().is_some();
+        if decoded.is_empty() && !(is_tracked && best_view.is_some()) {
             return Err(if is_tracked { NotRun::NoView } else { NotRun::NothingKnown });
         }
         let may_search = self.may_search(time, target, &prior, &begun);
         let trial = Trial {
-            view_index: best_index,
+            view_index: best_view.map(|best| best.view_index),
             decoded: marker_ids(&decoded),
-            doubtful: marker_ids(&candidates),
             ..begun
         };
         Ok(PassInputs {
             target,
             body,
             decoded,
-            candidates,
             rays_m,
             prior,
             best_view,

@@ -116,7 +116,6 @@ impl Tracker {
             target: number,
             body: &target.body,
             decoded: Vec::new(),
-            candidates: Vec::new(),
             rays_m: view.rays_m,
             prior,
             best_view: Some(view),

@@ -9,7 +9,6 @@ use super::*;
 use crate::aligner::BestView;
 use crate::fixtures::*;
 use crate::frame::parts::parts_of;
-use crate::measurement::{agreeing_candidates, candidate_rays};
 use crate::policy::{SUSPENDED_FRAMES, is_search_turn};
 use crate::record::Record;
 use flockeye_contract::MeasuredBy;
@@ -410,33 +409,4 @@ fn corners_that_leave_the_pose_uncertain_only_correct_a_track() {
     let [(0, estimate)] = updates.as_slice() else { panic!("{updates:?}") };
     assert_eq!((estimate.measured, estimate.unseen_s), (None, 0.0));
     assert_eq!(estimate.state, Some(TrackState::Confirmed));
-}
-
-#[test]
-fn squares_that_lie_to_each_other_as_on_the_body_start_a_track() {
-    let truth = pose(0.9);
-    let squares = |most: usize| {
-        let mut record = record(1, &truth);
-        record.markers.truncate(most);
-        record.markers.iter_mut().for_each(|marker| marker.doubtful = 1);
-        record
-    };
-    with_view(&truth, |view| {
-        let found = |record: &Record| {
-            let mut tracker = untracked();
-            let agreeing =
-                agreeing_candidates(&alpha(), &candidate_rays(&alpha(), &record.markers));
-            let view = BestView { agreeing, ..*view };
-            final_corner_pass(&mut tracker, 1, record, view, TimeBudget::Unlimited).len()
-        };
-        assert_eq!(found(&squares(2)), 1);
-        assert_eq!(found(&squares(1)), 0, "one has a best guess anywhere");
-        let mut apart = squares(2);
-        let ids = [apart.markers[1].id, apart.markers[0].id];
-        apart.markers.iter_mut().zip(ids).for_each(|(marker, id)| marker.id = id);
-        assert_eq!(found(&apart), 0, "they do not agree");
-        let mut elsewhere = squares(2);
-        elsewhere.header.view_index = 5;
-        assert_eq!(found(&elsewhere), 0, "they are in another view than the best one");
-    });
 }

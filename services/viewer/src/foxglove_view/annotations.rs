@@ -34,9 +34,8 @@ pub(super) fn annotations(
         drawn.points.extend(lines(&picture, at, &outline, colour(region.target, 0.6), 1.0));
     }
     for marker in &ended.message.markers {
-        let alpha = if marker.doubtful { 0.4 } else { 1.0 };
         let corners = marker.rays.map(|ray| Vector3::from(ray.map(f64::from)));
-        drawn.points.extend(lines(&picture, at, &corners, of_bytes(MARKER, alpha), 1.0));
+        drawn.points.extend(lines(&picture, at, &corners, of_bytes(MARKER, 1.0), 1.0));
     }
     for track in &ended.tracks {
         draw_body(&picture, at, resolved, track, &mut drawn);

@@ -54,7 +54,7 @@ fn a_frame_goes_out_whole_when_it_ends() {
     };
     let header = PlanHeader { plan_id: 9, ..PlanHeader::default() };
     scene.plan(&header, &[region, tile, unsearched, tile]);
-    let marker = DetectedMarker { id: 5, doubtful: 1, ..DetectedMarker::default() };
+    let marker = DetectedMarker { id: 5, ..DetectedMarker::default() };
     for view_index in [0, 1] {
         let record =
             DetectionHeader { stamp: stamp(1), plan_id: 9, view_index, ..Default::default() };
@@ -74,7 +74,7 @@ fn a_frame_goes_out_whole_when_it_ends() {
     let shown = &ended.message;
     assert_eq!((shown.key.as_str(), shown.views, shown.age_ms), ("0.0.1", [3, 1], Some(20.0)));
     assert_eq!((&shown.partitions[..], shown.markers.len()), (&[3][..], 2));
-    assert!(shown.markers[0].doubtful);
+    assert_eq!(shown.markers[0].id, 5);
     let [region] = &shown.regions[..] else { panic!("{shown:?}") };
     let wanted = (turn / 2.0).sin() as f32;
     assert!((region.view.q[2].abs() - wanted).abs() < 1e-6, "turned about z: {region:?}");

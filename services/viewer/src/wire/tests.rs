@@ -30,7 +30,7 @@ fn whole_frame() -> FrameMessage {
     let mut frame = PageScene::new(true).tracks(&header, &[track], 0).unwrap().message;
     let view = ViewSquare { q: [0.0; 4], half: 1.0 };
     frame.regions = vec![RegionView { target: 0, view }];
-    frame.markers = vec![Detected { id: 0, doubtful: false, rays: [[0.0; 3]; 4] }];
+    frame.markers = vec![Detected { id: 0, rays: [[0.0; 3]; 4] }];
     frame.truth = vec![Truth { target: 0, pose: pose() }];
     frame
 }

@@ -93,10 +93,9 @@ pub(super) fn compare(
     corners: Option<&Path>,
 ) -> anyhow::Result<PhotographComparison> {
     let mut corners = corners.map(TableWriter::create).transpose()?;
-    let mut ours =
-        Engine::new(DetectionEngine::Own, dictionary, DetectorParameters::default(), [])?;
+    let mut ours = Engine::new(DetectionEngine::Own, dictionary, DetectorParameters::default())?;
     let mut theirs =
-        Engine::new(DetectionEngine::OpenCv, dictionary, DetectorParameters::default(), [])?;
+        Engine::new(DetectionEngine::OpenCv, dictionary, DetectorParameters::default())?;
     let light = LinearLight::new(TransferCurve::Srgb, CodeRange::Full)
         .context("the curve of photographs")?;
     let mut comparison = PhotographComparison::default();

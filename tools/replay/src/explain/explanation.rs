@@ -62,8 +62,6 @@ pub(super) enum DecisiveStep {
     SearchFailed,
     /// Nothing of the target was found in the views of the place.
     NothingFound,
-    /// Squares were found that could not be decoded.
-    NothingDecoded,
     /// Poses were found, but the picture supports none of them enough.
     BelowThreshold,
     /// Two different poses were likely.
@@ -157,17 +155,13 @@ pub(super) struct ViewFacts {
     pub has_failed: bool,
     /// Decoded markers of the target.
     pub decoded: u32,
-    /// Squares that are probably markers of the target.
-    pub doubtful: u32,
 }
 
-/// A marker of the target, or a square that is probably one.
+/// A decoded marker of the target.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub(super) struct MarkerFacts {
     pub id: u32,
     pub view_index: u32,
-    /// Whether the marker was decoded. Other squares are only starting points for alignment.
-    pub is_decoded: bool,
     /// Whether the marker is near the expected place of the target; null: no place is known.
     pub is_at_place: Option<bool>,
     /// Residual of the corners relative to a pose, root mean square, pixels of the view.
@@ -203,8 +197,6 @@ pub(super) struct PassFacts {
     pub is_deferred: bool,
     /// Ids of decoded markers.
     pub decoded: Vec<u32>,
-    /// Ids of doubtful squares.
-    pub doubtful: Vec<u32>,
     /// Poses from corners.
     pub corner_poses: Vec<CornerFacts>,
     /// Poses that were compared with the picture.

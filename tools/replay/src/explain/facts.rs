@@ -22,7 +22,7 @@ use super::poses::{
     Mounting, TargetPlace, deviations, difference, of_pose, place, predicted, reference_pose, told,
 };
 use super::{judgement, passes};
-use flockeye_fusion::{candidate_rays, decoded_rays};
+use flockeye_fusion::decoded_rays;
 
 /// Makes the answer for a frame.
 pub(super) fn explanation(
@@ -107,14 +107,9 @@ fn views(resolved: &Resolved, known: &FrameKnowledge, direction: Option<&Ray>) -
     let facts = |view_index: u32, kind: u32, tile: u32, target: u32, view: &View| {
         let kind = ViewKind::try_from(kind).ok();
         let record = gathered.records.get(&view_index);
-        let of_target = |is_decoded: bool| {
-            let markers = record.into_iter().flat_map(|record| &record.markers);
-            let own = markers.filter(|marker| {
-                body.is_some_and(|body| body.marker(marker.id).is_some())
-                    && marker.is_decoded() == is_decoded
-            });
-            own.count() as u32
-        };
+        let markers = record.into_iter().flat_map(|record| &record.markers);
+        let own =
+            markers.filter(|marker| body.is_some_and(|body| body.marker(marker.id).is_some()));
         // The direction of a proposal is not known before it is cut.
         let is_placed =
             kind != Some(ViewKind::Proposal) || gathered.views.contains_key(&view_index);
@@ -128,8 +123,7 @@ fn views(resolved: &Resolved, known: &FrameKnowledge, direction: Option<&Ray>) -
             is_answered: record.is_some(),
             is_searched: true,
             has_failed: record.is_some_and(|record| record.header.failed != 0),
-            decoded: of_target(true),
-            doubtful: of_target(false),
+            decoded: own.count() as u32,
         }
     };
     let cut = gathered.views.values().map(|(view, _)| ViewFacts {
@@ -180,10 +174,7 @@ fn markers(
         let view_index = record.header.view_index;
         let view = known.gathered.views.get(&view_index).map(|(view, _)| view);
         for marker in record.markers.iter().filter(|marker| body.marker(marker.id).is_some()) {
-            let rays = match marker.is_decoded() {
-                true => decoded_rays(body, [marker]),
-                false => candidate_rays(body, [marker]),
-            };
+            let rays = decoded_rays(body, [marker]);
             let off_rad = |pose: &Isometry3<f64>| {
                 let squared = rays.iter().filter_map(|ray| {
                     let corner = pose * body.marker(ray.marker_id)?.corners[ray.corner];
@@ -199,12 +190,11 @@ fn markers(
                 let off_rad = Ray::try_new(middle, 1e-9)?.angle(&expected);
                 Some(off_rad < reach_rad(body, known, place))
             });
-            // Residuals are only valid for squares near the expected place.
+            // Residuals are only valid for markers near the expected place.
             let residual = reference.as_ref().zip(view).filter(|_| is_at_place != Some(false));
             all.push(MarkerFacts {
                 id: marker.id,
                 view_index,
-                is_decoded: marker.is_decoded(),
                 is_at_place,
                 residual_px: residual.map(|((pose, _), view)| off_rad(pose) * view.focal_px),
                 residual_of: residual.map(|((_, of), _)| *of),

@@ -42,20 +42,16 @@ fn decisive(
             "the recording has no end of this frame: it was given up, or its recording was cut off";
         return (DecisiveStep::NotEnded, why.to_owned());
     }
-    // Squares elsewhere belong to other bodies.
-    let has = |is_decoded: bool| {
-        let markers = explanation.markers.iter().filter(|marker| marker.is_at_place != Some(false));
-        markers.filter(|marker| marker.is_decoded == is_decoded).count() > 0
-    };
-    let (has_decoded, has_doubtful) = (has(true), has(false));
+    // Markers elsewhere belong to other bodies.
+    let has_decoded = explanation.markers.iter().any(|marker| marker.is_at_place != Some(false));
     match place {
-        Some(place) if !has_decoded && !has_doubtful => {
+        _ if has_decoded => {}
+        Some(place) => {
             if let Some(said) = of_views(explanation, place) {
                 return said;
             }
         }
-        None if !has_decoded => return (DecisiveStep::NoPlaceKnown, no_place(known, explanation)),
-        _ => {}
+        None => return (DecisiveStep::NoPlaceKnown, no_place(known, explanation)),
     }
     if let Some(said) = by_hypotheses(known, place) {
         return said;
@@ -63,25 +59,12 @@ fn decisive(
     if let Some(said) = by_corners(known) {
         return said;
     }
-    match (has_decoded, has_doubtful) {
-        (true, _) => {
-            let why = format!(
-                "markers {} were decoded and led to no pose{}",
-                ids(explanation, true),
-                untold(explanation)
-            );
-            (DecisiveStep::Untold, why)
-        }
-        (false, true) => {
-            let why = format!(
-                "squares that are probably its markers {} were found and none was decoded{}",
-                ids(explanation, false),
-                untold(explanation)
-            );
-            (DecisiveStep::NothingDecoded, why)
-        }
-        (false, false) => (DecisiveStep::NothingFound, searched(explanation)),
+    if !has_decoded {
+        return (DecisiveStep::NothingFound, searched(explanation));
     }
+    let ids = ids(explanation);
+    let why = format!("markers {ids} were decoded and led to no pose{}", untold(explanation));
+    (DecisiveStep::Untold, why)
 }
 
 /// Explains, as the end of a sentence, why the reason is not known.
@@ -92,10 +75,9 @@ fn untold(explanation: &FrameExplanation) -> &'static str {
     }
 }
 
-fn ids(explanation: &FrameExplanation, is_decoded: bool) -> String {
+fn ids(explanation: &FrameExplanation) -> String {
     let at_place = explanation.markers.iter().filter(|marker| marker.is_at_place != Some(false));
-    let of_kind = at_place.filter(|marker| marker.is_decoded == is_decoded);
-    let mut ids: Vec<u32> = of_kind.map(|marker| marker.id).collect();
+    let mut ids: Vec<u32> = at_place.map(|marker| marker.id).collect();
     ids.sort_unstable();
     ids.dedup();
     ids.iter().map(u32::to_string).collect::<Vec<_>>().join(", ")
@@ -209,10 +191,6 @@ fn of_views(explanation: &FrameExplanation, place: &TargetPlace) -> Option<(Deci
 
 fn no_place(known: &FrameKnowledge, explanation: &FrameExplanation) -> String {
     let answered = explanation.views.iter().filter(|view| view.is_answered);
-    let squares = match ids(explanation, false) {
-        ids if ids.is_empty() => String::new(),
-        ids => format!("; squares that may be its markers {ids} were found, of which no two agree"),
-    };
     let places = match known.trials().filter(|trial| trial.pass == Pass::Place).count() {
         0 => String::new(),
         count => {
@@ -220,7 +198,7 @@ fn no_place(known: &FrameKnowledge, explanation: &FrameExplanation) -> String {
         }
     };
     format!(
-        "no track predicts it, and none of its markers was decoded in the {} views of this frame{squares}{places}",
+        "no track predicts it, and none of its markers was decoded in the {} views of this frame{places}",
         answered.count()
     )
 }
@@ -275,7 +253,7 @@ fn by_hypotheses(
             .max_by(|(one, ..), (other, ..)| one.total_cmp(other))
             .map(|(_, hypothesis, verdict)| (*hypothesis, decided(hypothesis, *verdict)))
     };
-    let is_rivalled = |verdict| matches!(verdict, Verdict::Rivals(_) | Verdict::OneFacetAlone);
+    let is_rivalled = |verdict| matches!(verdict, Verdict::Rivals(_));
     if let Some((_, rivalled)) = likeliest(&is_rivalled) {
         return Some((DecisiveStep::Rivals, format!("the likeliest pose: {rivalled}")));
     }

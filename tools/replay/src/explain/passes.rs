@@ -32,7 +32,6 @@ fn of_entry(frames: &Mounting<'_>, entry: &AccountEntry) -> PassFacts {
         is_late: false,
         is_deferred: false,
         decoded: Vec::new(),
-        doubtful: Vec::new(),
         corner_poses: Vec::new(),
         hypotheses: Vec::new(),
         outcome: None,
@@ -62,7 +61,6 @@ fn of_trial(frames: &Mounting<'_>, trial: &Trial) -> PassFacts {
         is_late: trial.budget == TimeBudget::Overspent,
         is_deferred: trial.is_deferred,
         decoded: trial.decoded.clone(),
-        doubtful: trial.doubtful.clone(),
         corner_poses: trial
             .corner_poses
             .iter()
@@ -147,9 +145,6 @@ pub(super) fn decided(hypothesis: &Hypothesis, verdict: Verdict) -> String {
             least_lead()
         ),
         Verdict::Rival => "a rival of the likeliest".to_owned(),
-        Verdict::OneFacetAlone => {
-            "one facet alone tells it: the background pass tries the other starts first".to_owned()
-        }
         Verdict::OutsideGate => "likely, but not where the track can be".to_owned(),
         Verdict::NotAligned => match &hypothesis.found {
             Err(error) => error.to_string(),
@@ -207,7 +202,6 @@ fn reason_of(reason: NotRun) -> &'static str {
 fn source_of(source: StartSource) -> &'static str {
     match source {
         StartSource::Corners => "decoded markers",
-        StartSource::DoubtfulSquares => "doubtful squares",
         StartSource::Prediction => "prediction",
         StartSource::RoughPrediction => "prediction, coarse first",
         StartSource::DirectPass => "prediction, as the direct pass found it",
@@ -225,7 +219,6 @@ fn verdict_of(verdict: Verdict) -> &'static str {
         Verdict::Imprecise => "imprecise",
         Verdict::Rivals(_) => "rivals",
         Verdict::Rival => "rival",
-        Verdict::OneFacetAlone => "one_facet_alone",
         Verdict::OutsideGate => "outside_gate",
         Verdict::NotAligned => "not_aligned",
         Verdict::NothingFound => "nothing_found",

@@ -36,7 +36,6 @@ const REFUSED: [u8; 3] = [255, 60, 50];
 const RIVAL: [u8; 3] = [230, 80, 255];
 const TRUTH: [u8; 3] = [0, 210, 255];
 const DECODED: [u8; 3] = [70, 130, 255];
-const DOUBTFUL: [u8; 3] = [150, 150, 150];
 
 /// A picture in colours.
 struct RgbPicture {
@@ -165,7 +164,7 @@ fn scene(
             .iter()
             .map(|&[u, v]| to_canvas(Vector2::new(f64::from(u), f64::from(v))))
             .collect();
-        canvas.polygon(&corners, if marker.is_decoded() { DECODED } else { DOUBTFUL });
+        canvas.polygon(&corners, DECODED);
     }
     Ok(canvas)
 }

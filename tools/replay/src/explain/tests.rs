@@ -161,11 +161,9 @@ fn track(measured_by: MeasuredBy) -> Track {
     }
 }
 
-fn markers(is_decoded: bool) -> Vec<DetectedMarker> {
+fn markers() -> Vec<DetectedMarker> {
     let body = resolved().bodies.get(0).unwrap().clone();
-    let mut markers = facing_markers(&body, &there(), 2);
-    markers.iter_mut().for_each(|marker| marker.doubtful = u32::from(!is_decoded));
-    markers
+    facing_markers(&body, &there(), 2)
 }
 
 fn alignment(log_odds: f64) -> Alignment {
@@ -265,12 +263,10 @@ fn what_was_looked_at_in_vain_is_told_by_what_was_found() {
             ended(known, StopReason::Complete);
         })
     };
-    let (step, why) = found(markers(false));
-    assert_eq!(step, DecisiveStep::NothingDecoded, "{why}");
-    let (step, why) = found(markers(true));
+    let (step, why) = found(markers());
     assert_eq!(step, DecisiveStep::Untold, "{why}");
-    // Squares elsewhere are others'.
-    let mut elsewhere = markers(true);
+    // Markers elsewhere are others'.
+    let mut elsewhere = markers();
     for marker in &mut elsewhere {
         marker.rays_in_camera = marker.rays_in_camera.map(|[x, y, z]| [-x, y, z]);
     }
@@ -317,8 +313,6 @@ fn poses_that_were_refused_are_told_with_what_was_asked_for() {
     let (step, why) = refused(&[(9.0, Verdict::Rivals(2.0)), (7.0, Verdict::Rival)]);
     assert_eq!(step, DecisiveStep::Rivals, "{why}");
     assert!(why.contains("leads its rivals by 2.0 only, and 4.8 are asked for"), "{why}");
-    let (step, why) = refused(&[(9.0, Verdict::OneFacetAlone)]);
-    assert_eq!(step, DecisiveStep::Rivals, "{why}");
     let (step, why) = refused(&[(9.0, Verdict::Imprecise)]);
     assert_eq!(step, DecisiveStep::Imprecise, "{why}");
     let (step, why) = judged(|known| {
@@ -372,7 +366,7 @@ fn corners_that_are_not_enough_are_told() {
                 trial.corner_poses = vec![CornerPose { solution, is_chosen: true, verdict }];
             }
             cut(known, view(0, ViewKind::Roi, &ahead()));
-            searched(known, 0, markers(true), 0);
+            searched(known, 0, markers(), 0);
             known.decisions.push(decision);
             ended(known, StopReason::Complete);
         });

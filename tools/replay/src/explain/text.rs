@@ -128,10 +128,7 @@ fn views(out: &mut String, views: &[ViewFacts]) -> std::fmt::Result {
             (_, false, ..) => "cut, not answered".to_owned(),
             (_, _, true, _) => "its search failed".to_owned(),
             (_, _, _, false) => "cut, and not searched for markers".to_owned(),
-            _ => format!(
-                "searched: {} markers decoded, {} doubtful squares",
-                view.decoded, view.doubtful
-            ),
+            _ => format!("searched: {} markers decoded", view.decoded),
         };
         writeln!(out, "          view {:<3} {}: {state}", view.view_index, name_of(view))?;
     }
@@ -149,14 +146,9 @@ fn views(out: &mut String, views: &[ViewFacts]) -> std::fmt::Result {
 fn markers(out: &mut String, all: &[MarkerFacts]) -> std::fmt::Result {
     let (markers, elsewhere): (Vec<&MarkerFacts>, Vec<&MarkerFacts>) =
         all.iter().partition(|marker| marker.is_at_place != Some(false));
-    writeln!(out, "\nFound     {} markers or squares of it", markers.len())?;
+    writeln!(out, "\nFound     {} markers of it", markers.len())?;
     if !elsewhere.is_empty() {
-        let decoded = elsewhere.iter().filter(|marker| marker.is_decoded).count();
-        writeln!(
-            out,
-            "          elsewhere {} squares that look like its markers, {decoded} of them decoded",
-            elsewhere.len()
-        )?;
+        writeln!(out, "          elsewhere {} markers with its ids", elsewhere.len())?;
     }
     for marker in markers {
         let residual = match (marker.residual_px, marker.residual_of) {
@@ -170,13 +162,9 @@ fn markers(out: &mut String, all: &[MarkerFacts]) -> std::fmt::Result {
             }
             _ => "nothing to compare it with".to_owned(),
         };
-        let kind = match marker.is_decoded {
-            true => "decoded",
-            false => "not decoded, so it is only a place to start from",
-        };
         writeln!(
             out,
-            "          marker {:<4} in view {:<3} {kind}; {residual}",
+            "          marker {:<4} in view {:<3} {residual}",
             marker.id, marker.view_index
         )?;
     }

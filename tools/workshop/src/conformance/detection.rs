@@ -159,8 +159,7 @@ impl Script {
         report.holds("times are of CLOCK_MONOTONIC and rise", PAGE, times.is_sorted(), || {
             format!("issued_ns, received_ns, sent_ns and now are {times:?}")
         });
-        let hits =
-            markers.iter().filter(|it| it.is_decoded() && self.owned.contains(&it.id)).count();
+        let hits = markers.iter().filter(|it| self.owned.contains(&it.id)).count();
         report.field("hits counts markers of bodies", PAGE, "hits", record.hits as usize, hits);
         for marker in markers {
             let wrong = disagreement(view, marker);
@@ -349,7 +348,7 @@ fn disagreement(view: &ViewHeader, marker: &DetectedMarker) -> f64 {
 
 /// Mean error of a marker's corners, pixels; `None` if the marker was not decoded.
 fn error_px(shown: &ShownMarker, markers: &[DetectedMarker]) -> Option<f64> {
-    let marker = markers.iter().find(|marker| marker.id == shown.id && marker.is_decoded())?;
+    let marker = markers.iter().find(|marker| marker.id == shown.id)?;
     let truth = shown.corners(SIZE_PX, FOCAL_PX);
     let errors = marker.corners_in_view.iter().zip(&truth).map(|(corner, truth)| {
         (Point2::new(f64::from(corner[0]), f64::from(corner[1])) - truth).norm()

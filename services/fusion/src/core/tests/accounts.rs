@@ -69,7 +69,7 @@ fn a_corner_pass_is_noted_with_its_corners_and_hypotheses() {
     let decisions = decided(&mut core, 0);
     let trial = the_trial(&decisions);
     assert_eq!((trial.pass, trial.predicted), (Pass::Region, None));
-    assert!(trial.decoded.len() >= 2 && trial.doubtful.is_empty());
+    assert!(trial.decoded.len() >= 2);
     assert!(trial.corner_poses.iter().any(|pose| pose.is_chosen));
     assert!(matches!(trial.outcome, Outcome::Published(_)), "{:?}", trial.outcome);
     let accepted = trial.decision.hypothesis().map(|index| trial.hypotheses[index].source);

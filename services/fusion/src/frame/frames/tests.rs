@@ -155,7 +155,6 @@ fn own(view_index: u32) -> Vec<(usize, ViewQuality)> {
         is_own: true,
         is_followed: true,
         decoded: 0,
-        agreeing: 0,
         focal_px: 1.0,
         off_centre: 0.0,
         view_index,

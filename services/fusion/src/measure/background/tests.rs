@@ -8,9 +8,9 @@ use flockeye_geometry::pose::PoseEstimate;
 use flockeye_imaging::light::{CodeRange, TransferCurve};
 use nalgebra::{Matrix6, Vector3};
 
-/// Requests passes over an empty picture, for a tracked target or an untracked one.
+/// Requests passes over an empty picture, for tracked targets.
 fn with_requests(
-    by: impl FnOnce(&mut BackgroundQueue, &dyn Fn(&mut BackgroundQueue, usize, bool) -> bool),
+    by: impl FnOnce(&mut BackgroundQueue, &dyn Fn(&mut BackgroundQueue, usize) -> bool),
 ) {
     let body = alpha();
     let (pixels, light) =
@@ -20,18 +20,14 @@ fn with_requests(
     let picture = Picture::still(image, view, &light, 611.0);
     let camera_from_markers = Isometry3::translation(1.0, 0.0, 0.0);
     let covariance = Matrix6::identity();
-    let request = |queue: &mut BackgroundQueue, target: usize, is_tracked: bool| {
-        let prior = match is_tracked {
-            true => TrackPrior::Confirmed(PoseEstimate { camera_from_markers, covariance }),
-            false => TrackPrior::Untracked,
-        };
+    let request = |queue: &mut BackgroundQueue, target: usize| {
+        let prior = TrackPrior::Confirmed(PoseEstimate { camera_from_markers, covariance });
         let begun = Trial::of(Pass::Complete, &prior, TimeBudget::OneFrame);
-        let view = BestView { picture, view_index: 0, agreeing: 0, rays_m: f64::INFINITY };
+        let view = BestView { picture, view_index: 0, rays_m: f64::INFINITY };
         let inputs = PassInputs {
             target,
             body: &body,
             decoded: Vec::new(),
-            candidates: Vec::new(),
             rays_m: f64::INFINITY,
             prior,
             best_view: Some(view),
@@ -52,14 +48,9 @@ fn finish(queue: &mut BackgroundQueue) {
     queue.finish();
 }
 
-fn under_way(queue: &BackgroundQueue) -> Option<(FrameTime, usize)> {
-    queue.under_way.as_ref().map(|under_way| (under_way.time, under_way.target))
-}
-
 #[test]
 fn passes_run_one_at_a_time_and_refused_targets_go_first() {
     with_requests(|queue, request| {
-        let request = |queue: &mut BackgroundQueue, target| request(queue, target, true);
         assert!(request(queue, 0));
         assert!(!request(queue, 1) && !request(queue, 0), "one is under way");
         finish(queue);
@@ -75,48 +66,15 @@ fn passes_run_one_at_a_time_and_refused_targets_go_first() {
 }
 
 #[test]
-fn an_untracked_target_queues_behind_a_tracked_one() {
-    with_requests(|queue, request| {
-        assert!(request(queue, 0, true));
-        assert!(request(queue, 1, false), "there is a place for one");
-        assert!(!request(queue, 2, false) && !request(queue, 3, true));
-        finish(queue);
-        assert_eq!(under_way(queue), Some((TIME, 1)));
-        finish(queue);
-        // Untracked targets do not queue behind each other: a tracked one would never get a turn.
-        assert!(request(queue, 2, false));
-        assert!(!request(queue, 1, false) && !request(queue, 3, true));
-        finish(queue);
-        // Another frame measured it before its turn came.
-        assert!(request(queue, 3, true));
-        assert!(request(queue, 1, false));
-        queue.cancel((0, 0, 1), 1);
-        finish(queue);
-        assert_eq!(under_way(queue), None);
-    });
-}
-
-#[test]
-fn a_newer_frame_takes_the_place_of_the_one_that_waits() {
-    with_requests(|queue, request| {
-        assert!(request(queue, 0, true) && request(queue, 1, false));
-        queue.waiting.as_mut().expect("it waits").time.at_s = -1.0;
-        assert!(request(queue, 1, false), "a newer frame");
-        finish(queue);
-        assert_eq!(under_way(queue), Some((TIME, 1)));
-    });
-}
-
-#[test]
 fn the_answer_of_a_cancelled_pass_is_dropped() {
     with_requests(|queue, request| {
-        assert!(request(queue, 0, true));
+        assert!(request(queue, 0));
         queue.take_job().expect("a job");
         assert!(queue.take_job().is_none(), "a job is run once");
         queue.cancel((0, 0, 0), 0);
         assert_eq!(queue.awaited(), None);
         assert!(queue.finish().is_some_and(|finished| finished.is_cancelled));
-        assert!(request(queue, 0, true));
+        assert!(request(queue, 0));
         queue.take_job().expect("a job");
         queue.cancel((0, 0, 7), 0);
         let finished = queue.finish().expect("it was under way");

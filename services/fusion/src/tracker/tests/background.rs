@@ -179,53 +179,26 @@ fn tracking_bravo() -> Tracking {
     tracker
 }
 
-/// One decoded marker of alpha and candidate squares, seen so far beside where they are that only a
-/// rough start leads back. That is too little for a pose from corners.
-fn candidates_of_alpha(sequence: u64, truth: &Isometry3<f64>) -> Record {
-    let mut record = record(sequence, &beside(truth, OFF_M));
-    let first = record.markers[0];
-    record.markers.iter_mut().for_each(|marker| marker.doubtful = 1);
-    record.markers.push(first);
-    record
+/// A tracker that tracks bravo, and alpha tentatively, so far beside where it is that only a rough
+/// start leads back.
+fn tentative(truth: &Isometry3<f64>) -> Tracking {
+    let mut tracker = tracking_bravo();
+    tracker.take_in(time(0), 0, &measurement(&beside(truth, OFF_M)));
+    tracker
 }
 
-fn measure_alpha(tracker: &mut Tracking, record: &Record, view: &BestView<'_>) -> Vec<Update> {
-    final_corner_pass(tracker, record.header.stamp.sequence, record, *view, BUDGET)
+fn measure_alpha(tracker: &mut Tracking, sequence: u64, view: &BestView<'_>) -> Vec<Update> {
+    final_corner_pass(tracker, sequence, &empty_record(sequence), *view, BUDGET)
 }
 
 #[test]
-fn an_untracked_target_holds_up_no_tracked_one() {
+fn a_tentative_track_holds_up_no_other_target() {
     let truth = pose(0.9);
     with_view(&truth, |view| {
-        let mut tracker = tracking_bravo();
-        assert!(measure_alpha(&mut tracker, &candidates_of_alpha(1, &truth), view).is_empty());
+        let mut tracker = tentative(&truth);
+        assert!(measure_alpha(&mut tracker, 1, view).is_empty());
         assert_eq!(tracker.awaited(), Some(stamp(1).order()));
-        let (target, estimate) = run(&mut tracker).expect("it is there");
-        assert_eq!((target, estimate.state), (0, Some(TrackState::Tentative)));
-        assert_tracked_at(&tracker, &truth, at_s(1));
-    });
-}
-
-#[test]
-fn an_untracked_target_has_its_background_pass_also_in_a_frame_without_time() {
-    let truth = pose(0.9);
-    with_view(&truth, |view| {
-        let mut tracker = tracking_bravo();
-        let record = candidates_of_alpha(1, &truth);
-        let budget = TimeBudget::Overspent;
-        assert!(final_corner_pass(&mut tracker, 1, &record, *view, budget).is_empty());
         assert!(run(&mut tracker).is_some());
-    });
-}
-
-#[test]
-fn an_untracked_target_that_holds_up_nobody_is_found_at_once() {
-    let truth = pose(0.9);
-    with_view(&truth, |view| {
-        let mut tracker = untracked().with_background();
-        let record = candidates_of_alpha(1, &truth);
-        assert_eq!(measure_alpha(&mut tracker, &record, view).len(), 1);
-        assert_eq!(tracker.awaited(), None);
         assert_tracked_at(&tracker, &truth, at_s(1));
     });
 }
@@ -234,43 +207,31 @@ fn an_untracked_target_that_holds_up_nobody_is_found_at_once() {
 fn a_late_answer_may_start_a_track() {
     let truth = pose(0.9);
     with_view(&truth, |view| {
-        let mut tracker = tracking_bravo();
-        measure_alpha(&mut tracker, &candidates_of_alpha(1, &truth), view);
+        let mut tracker = tentative(&truth);
+        measure_alpha(&mut tracker, 1, view);
         (1..10).for_each(|sequence| drop(end(&mut tracker, sequence)));
         assert!(run(&mut tracker).is_some());
         assert_tracked_at(&tracker, &truth, at_s(1));
         // Not if the frame is too old.
-        let mut tracker = tracking_bravo();
-        measure_alpha(&mut tracker, &candidates_of_alpha(1, &truth), view);
+        let mut tracker = tentative(&truth);
+        measure_alpha(&mut tracker, 1, view);
         (1..30).for_each(|sequence| drop(end(&mut tracker, sequence)));
         assert!(run(&mut tracker).is_none());
         // Nor if it is a frame of another source, whose clock may be another.
-        let mut tracker = tracking_bravo();
-        measure_alpha(&mut tracker, &candidates_of_alpha(1, &truth), view);
-        end(&mut tracker, 1);
+        let mut tracker = tentative(&truth);
+        measure_alpha(&mut tracker, 1, view);
+        (1..10).for_each(|sequence| drop(end(&mut tracker, sequence)));
         let (source, epoch, _) = stamp(1).order();
         tracker.ended = Some(((source, epoch + 1, 0), at_s(1)));
         assert!(run(&mut tracker).is_none());
         // Nor in place of a track that another frame started meanwhile.
-        let mut tracker = tracking_bravo();
-        measure_alpha(&mut tracker, &candidates_of_alpha(1, &truth), view);
-        end(&mut tracker, 1);
+        let mut tracker = tentative(&truth);
+        measure_alpha(&mut tracker, 1, view);
+        (1..10).for_each(|sequence| drop(end(&mut tracker, sequence)));
+        assert!(!tracker.targets[0].is_tracked());
         let elsewhere = beside(&truth, 0.5);
-        tracker.take_in(time(2), 0, &measurement(&elsewhere));
+        tracker.take_in(time(10), 0, &measurement(&elsewhere));
         assert!(run(&mut tracker).is_none());
-        assert!(error_m(&predicted(&tracker, at_s(2)), &elsewhere) < 1e-6);
-    });
-}
-
-#[test]
-fn a_tentative_track_holds_up_no_other_target() {
-    let truth = pose(0.9);
-    with_view(&truth, |view| {
-        let mut tracker = tracking_bravo();
-        tracker.take_in(time(0), 0, &measurement(&beside(&truth, OFF_M)));
-        assert!(measure_alpha(&mut tracker, &empty_record(1), view).is_empty());
-        assert_eq!(tracker.awaited(), Some(stamp(1).order()));
-        assert!(run(&mut tracker).is_some());
-        assert_tracked_at(&tracker, &truth, at_s(1));
+        assert!(error_m(&predicted(&tracker, at_s(10)), &elsewhere) < 1e-6);
     });
 }
