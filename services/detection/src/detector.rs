@@ -7,7 +7,7 @@ use flockeye_geometry::Ray;
 use flockeye_geometry::mask::Mask;
 use flockeye_geometry::view::{View, ViewPixel};
 use flockeye_imaging::edges::{
-    Grain, Lighting, MarkerPrint, RefinedCorners, approach_corners, refine_corners,
+    Grain, MarkerPrint, RefinedCorners, approach_corners, refine_corners,
 };
 use flockeye_imaging::image::LumaImage;
 use flockeye_imaging::light::LinearLight;
@@ -17,7 +17,7 @@ use crate::candidates::{Candidates, Finder};
 use crate::drawn::SAMPLE_CELLS;
 use crate::parameters::{DetectError, DetectorParameters, check_thresholds};
 use crate::quad::{Quad, centre, rotated, with_parallelogram_corner};
-use crate::reader::{Decoded, Explained, MarkerReader};
+use crate::reader::{Explained, MarkerReader};
 use crate::reading::Reading;
 use crate::shape::is_square;
 use crate::windows::Threshold;
@@ -29,47 +29,21 @@ const MIN_IMAGE_PX: usize = 16;
 /// then, and outlines are off by one to three pixels.
 const UNREFINED_PX: f64 = 2.0;
 
-// Limits of detection; docs/results/constants.md#limits-of-detection has the detections and false
-// detections with other values.
+/// Assumed deviation of such a square from print, as a share of its contrast.
+/// docs/results/constants.md#limits-of-detection has the detections with other values.
+const UNREFINED_MISFIT: f64 = 0.1;
 
-/// Largest residual of the fitted print, as a share of its contrast. Print differs from its blurred
-/// image by a few hundredths, texture by more.
-const MAX_MISFIT: f64 = 0.15;
+/// Least log odds of a marker, for a square to be one. docs/results/constants.md#limits-of-detection
+/// has the detections and false detections with other values.
+const MIN_LOG_ODDS: f64 = 3.6;
 
-/// Largest blur of a marker, cells. Texture that reads as a marker is smooth; wider blurs must pass
-/// [`BLURRED`].
-const MAX_BLUR_CELLS: f64 = 0.75;
-
-/// Largest blur of a marker that passes [`BLURRED`], cells. Small markers at long range are blurred
-/// by 0.8 to 1. Without it a smooth patch of a real panorama reads as a marker.
-const MAX_BLUR_CELLS_AT_RANGE: f64 = 1.1;
-
-/// Limits for markers that are blurred by more than [`MAX_BLUR_CELLS`], or whose corners are
-/// uncertain: least log-likelihood ratio, and largest residual. 7,100 squares that are blurred as
-/// much and are no markers were read, of a hall, panoramas and a simulated world. None had a ratio
-/// above 8 to the next marker. One of more views of the panoramas passes
-/// (docs/results/constants.md#shape-of-squares).
-const BLURRED: (f32, f64) = (12.0, 0.06);
-
-/// Least log-likelihood ratio of the marker to the next likely one, and to a square without a
-/// marker.
-const MIN_LOG_LIKELIHOOD_RATIO: f32 = 10.0;
+/// Log odds of an outline's reading from which a fit of its corners is worth its time. Where corners
+/// are only approximate, cells are sampled off their middles.
+const WORTH_FITTING: f64 = 1.5;
 
 /// Least step from the border out to the quiet zone, on each side, as a share of that from black
 /// print to white paper.
 const MIN_QUIET_ZONE: f32 = 0.2;
-
-/// Share of the least log-likelihood ratio from which a reading is worth a fit. Where corners are
-/// only approximate, cells are sampled off their middles.
-const WORTH_FITTING: f32 = 0.5;
-
-/// Multiple of the least log-likelihood ratio from which a marker is accepted without fitted edges.
-const UNREFINED_RATIO: f32 = 2.0;
-
-/// Least contrast of a marker's cells, as a share of that between its quiet zone and its border.
-/// The cells of empty squares that read as a marker by their noise had at most 0.13 on photographs,
-/// those of 4,041 markers at least 0.59.
-const MIN_CELL_CONTRAST: f32 = 0.28;
 
 /// Largest distance between the corners of a refined marker and those of another outline of it:
 /// pixels, and a share of the marker's side.
@@ -96,8 +70,8 @@ pub struct MarkerInView {
     pub deviations_rad: [f64; 4],
     /// Whether the corners are those of the fitted print, rather than of the outline.
     pub is_refined: bool,
-    /// Normalized correlation of its cells with those of the marker: 1 is perfect.
-    pub correlation: f32,
+    /// Log odds that the square is this marker, rather than another one or none.
+    pub log_odds: f64,
 }
 
 /// Finds the markers of one dictionary.
@@ -186,7 +160,7 @@ impl Detector {
             found.extend(self.read(image, view, light, quad));
         }
         let order = |a: &MarkerInView, b: &MarkerInView| {
-            let likelier = b.correlation.total_cmp(&a.correlation);
+            let likelier = b.log_odds.total_cmp(&a.log_odds);
             b.is_refined.cmp(&a.is_refined).then(likelier).then(a.id.cmp(&b.id))
         };
         found.sort_by(order);
@@ -208,52 +182,68 @@ impl Detector {
             return None;
         }
         let decoded = self.reader.compare(&self.reading(image, light, &near)?)?.best()?;
-        let is_worth_fitting =
-            decoded.log_likelihood_ratio() >= WORTH_FITTING * MIN_LOG_LIKELIHOOD_RATIO;
-        if !is_worth_fitting {
+        if decoded.log_odds(UNREFINED_MISFIT) < WORTH_FITTING {
             return None;
         }
         let print = self.dictionary.print(decoded.id)?;
         let outline = rotated(&near, decoded.first_corner);
-        let (corners, reading, explained) =
-            self.with_hidden_corner(image, light, &outline, print)?;
-        let (decoded, lighting) = (decoded.with(&explained), explained.lighting());
-        // A reading alone may be enough, without fitted edges.
-        let by_outline = decoded.log_likelihood_ratio()
-            >= UNREFINED_RATIO * MIN_LOG_LIKELIHOOD_RATIO
-            && self.has_cells(&reading, print);
-        let mut refined = self.refined(image, light, &corners, print, lighting);
-        if refined.is_none() && by_outline {
-            refined = (0..4)
-                .map(|k| with_parallelogram_corner(&corners, k))
-                .find_map(|guess| self.refined(image, light, &guess, print, lighting));
-        }
-        // The square must read as the same marker with its final corners.
-        let fitted = refined.and_then(|refined| {
-            let reading = self.reading(image, light, &refined.corners_in_view)?;
-            let confirmed = self.reader.compare(&reading)?.best()?;
-            let is_same = (confirmed.id, confirmed.first_corner) == (decoded.id, 0);
-            let confirmed = confirmed.with(&self.reader.explain(&reading, print));
-            let is_accepted = is_same
-                && self.looks_printed(&refined, &confirmed)
-                && self.has_cells(&reading, print);
-            is_accepted.then(|| MarkerInView {
-                is_refined: true,
-                correlation: confirmed.correlation,
-                ..found_at(view, decoded.id, refined.corners_in_view, refined.sigmas_px)
-            })
+        let (corners, explained) = self.with_hidden_corner(image, light, &outline, print)?;
+        let by_outline = decoded.with(&explained).log_odds(UNREFINED_MISFIT)
+            - self.misplacement(&corners, &[UNREFINED_PX; 4]);
+        let fit = |guess: &Quad| {
+            let (grain, fit) = (self.grain, self.parameters.corner_fit);
+            refine_corners(image, light, guess, print, grain, explained.lighting(), fit)
+        };
+        let is_by_outline = by_outline >= MIN_LOG_ODDS;
+        // The corner that something hides may spoil the fit.
+        let refined = fit(&corners).or_else(|| {
+            let guesses = (0..4).filter(|_| is_by_outline);
+            guesses.map(|k| with_parallelogram_corner(&corners, k)).find_map(|guess| fit(&guess))
         });
-        // Where nothing could be fitted the outline's corners stay. In even light a refused fit
-        // means that the square is no print. In uneven light a shadow may have spoiled the fit.
-        let keeps_outline = by_outline && (refined.is_none() || lighting == Lighting::Uneven);
-        fitted
-            .or_else(|| {
-                keeps_outline.then(|| MarkerInView {
-                    correlation: decoded.correlation,
-                    ..found_at(view, decoded.id, corners, [UNREFINED_PX; 4])
-                })
-            })
+        let by_fit = refined.and_then(|refined| {
+            let log_odds = self.log_odds(image, light, &refined, decoded.id, print)?;
+            let found = found_at(view, decoded.id, refined.corners_in_view, refined.sigmas_px);
+            Some(MarkerInView { is_refined: true, log_odds, ..found })
+        });
+        // Where nothing could be fitted, or a shadow spoiled the fit, the outline's corners stay.
+        let by_outline = is_by_outline.then(|| MarkerInView {
+            log_odds: by_outline,
+            ..found_at(view, decoded.id, corners, [UNREFINED_PX; 4])
+        });
+        by_fit
+            .filter(|marker| marker.log_odds >= MIN_LOG_ODDS)
+            .or(by_outline)
             .filter(|marker| is_square(&marker.rays_in_camera, &marker.deviations_rad))
+    }
+
+    /// Log odds that a square with fitted corners is this marker. `None` if it reads as another one.
+    fn log_odds(
+        &self,
+        image: &LumaImage<'_>,
+        light: &LinearLight,
+        refined: &RefinedCorners,
+        id: u32,
+        print: &MarkerPrint,
+    ) -> Option<f64> {
+        let corners = &refined.corners_in_view;
+        let reading = self.reading(image, light, corners)?;
+        let decoded = self.reader.compare(&reading)?.best()?;
+        let explained = self.reader.explain(&reading, print);
+        let is_same = (decoded.id, decoded.first_corner) == (id, 0);
+        is_same.then(|| {
+            decoded.with(&explained).log_odds(refined.residual_sigma)
+                - self.misplacement(corners, &refined.sigmas_px)
+        })
+    }
+
+    /// Log odds that a reading loses by the uncertainty of its corners.
+    ///
+    /// While each sample stays in its own cell, corners need not be known better. Beyond that a fit
+    /// could choose among as many readings as there are such places for each corner, along both
+    /// axes, and the best of many resembles a marker by chance.
+    fn misplacement(&self, corners: &Quad, sigmas_px: &[f64; 4]) -> f64 {
+        let own_px = (0.5 - SAMPLE_CELLS) * self.cell_px(corners);
+        sigmas_px.iter().map(|sigma_px| 2.0 * (sigma_px / own_px).max(1.0).ln()).sum()
     }
 
     /// The corners of an outline, with their reading. If the print reads better so, one corner is
@@ -265,15 +255,14 @@ impl Detector {
         light: &LinearLight,
         outline: &Quad,
         print: &MarkerPrint,
-    ) -> Option<(Quad, Reading, Explained)> {
+    ) -> Option<(Quad, Explained)> {
         let read = |corners: Quad| {
             let reading = self.reading(image, light, &corners)?;
-            let explained = self.reader.explain(&reading, print);
-            Some((corners, reading, explained))
+            Some((corners, self.reader.explain(&reading, print)))
         };
         let mut best = read(*outline)?;
         for completed in (0..4).filter_map(|k| read(with_parallelogram_corner(outline, k))) {
-            if completed.2.correlation() > best.2.correlation() {
+            if completed.1.correlation() > best.1.correlation() {
                 best = completed;
             }
         }
@@ -295,48 +284,9 @@ impl Detector {
             .filter(|reading| reading.quiet_zone >= MIN_QUIET_ZONE)
     }
 
-    fn refined(
-        &self,
-        image: &LumaImage<'_>,
-        light: &LinearLight,
-        guess: &Quad,
-        print: &MarkerPrint,
-        lighting: Lighting,
-    ) -> Option<RefinedCorners> {
-        refine_corners(image, light, guess, print, self.grain, lighting, self.parameters.corner_fit)
-    }
-
-    /// Whether fitted corners are precise enough for each sample to lie in its own cell. Otherwise
-    /// the reading contains less information on the print. Texture that reads as a marker often has
-    /// imprecise corners.
-    fn samples_own_cells(&self, refined: &RefinedCorners) -> bool {
-        let sigma_px =
-            (refined.sigmas_px.map(|sigma| sigma * sigma).iter().sum::<f64>() / 4.0).sqrt();
-        sigma_px <= (0.5 - SAMPLE_CELLS) * self.cell_px(&refined.corners_in_view)
-    }
-
     /// The mean side of a cell.
     fn cell_px(&self, corners: &Quad) -> f64 {
         mean_side_px(corners) / (self.dictionary.bits() + 2) as f64
-    }
-
-    /// Whether a square with fitted corners is this marker, rather than smooth shading.
-    fn looks_printed(&self, refined: &RefinedCorners, decoded: &Decoded) -> bool {
-        let blur = (refined.blur_px[0] + refined.blur_px[1])
-            / 2.0
-            / self.cell_px(&refined.corners_in_view);
-        let (ratio, misfit) = BLURRED;
-        let passes_blurred =
-            decoded.log_likelihood_ratio() >= ratio && refined.residual_sigma <= misfit;
-        let is_clear = blur <= MAX_BLUR_CELLS && self.samples_own_cells(refined);
-        decoded.log_likelihood_ratio() >= MIN_LOG_LIKELIHOOD_RATIO
-            && refined.residual_sigma <= MAX_MISFIT
-            && (is_clear || (blur <= MAX_BLUR_CELLS_AT_RANGE && passes_blurred))
-    }
-
-    /// Whether the cells have the contrast of print. See [`MIN_CELL_CONTRAST`].
-    fn has_cells(&self, reading: &Reading, print: &MarkerPrint) -> bool {
-        self.reader.cell_contrast(reading, print) >= MIN_CELL_CONTRAST
     }
 }
 
@@ -360,7 +310,7 @@ pub(crate) fn found_at(
             deviations_px[k].min(UNREFINED_PX) * radians_per_pixel(view, corners_in_view[k])
         }),
         is_refined: false,
-        correlation: 0.0,
+        log_odds: 0.0,
     }
 }
 

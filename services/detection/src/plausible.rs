@@ -20,7 +20,7 @@ const CENTRE_SLACK: f64 = 0.5;
 ///
 /// Two markers contradict each other if they face away from each other, or if their apparent sizes
 /// put them farther apart than they are on the body. The marker with most contradictions is removed
-/// first, then the one with the lowest correlation. Markers that no configured body carries stay.
+/// first, then the one with the lowest log odds. Markers that no configured body carries stay.
 pub fn keep_plausible(mut found: Vec<MarkerInView>, bodies: &Bodies) -> Vec<MarkerInView> {
     loop {
         let contradicted: Vec<usize> = (0..found.len())
@@ -32,7 +32,7 @@ pub fn keep_plausible(mut found: Vec<MarkerInView>, bodies: &Bodies) -> Vec<Mark
         let worst = (0..found.len()).filter(|&k| contradicted[k] > 0).max_by(|&a, &b| {
             contradicted[a]
                 .cmp(&contradicted[b])
-                .then(found[b].correlation.total_cmp(&found[a].correlation))
+                .then(found[b].log_odds.total_cmp(&found[a].log_odds))
         });
         let Some(worst) = worst else { return found };
         found.remove(worst);
@@ -81,14 +81,14 @@ mod tests {
         Bodies::new("DICT_5X5_250".into(), list).unwrap()
     }
 
-    fn seen(marker: &Marker, pose: &Isometry3<f64>, correlation: f32) -> MarkerInView {
+    fn seen(marker: &Marker, pose: &Isometry3<f64>, log_odds: f64) -> MarkerInView {
         MarkerInView {
             id: marker.id,
             corners_in_view: [ViewPixel::new(0.0, 0.0); 4],
             rays_in_camera: marker.corners.map(|corner| Ray::new_normalize((pose * corner).coords)),
             deviations_rad: [1e-4; 4],
             is_refined: true,
-            correlation,
+            log_odds,
         }
     }
 
@@ -129,7 +129,7 @@ mod tests {
         let mut found = visible(alpha, &pose);
         let count = found.len();
         assert!(count >= 3);
-        // One marker seen from behind, with a lower correlation, and one at a much shorter range.
+        // One marker seen from behind, with lower log odds, and one at a much shorter range.
         // Another body's marker and one of no body are no contradiction.
         let facing = &alpha.markers[usize::try_from(found[0].id).unwrap()];
         let ahead = pose.translation.vector;

@@ -20,9 +20,16 @@ const STEP_BLURS_CELLS: [f64; 2] = [0.15, WIDEST_STEP_BLUR_CELLS];
 /// where white paper has a radiance of up to 1. Below, there are only rounding errors.
 const MIN_CONTRAST: f32 = 1e-4;
 
-/// Least share of the sum of squares that counts as unexplained. It bounds the likelihood ratio of
-/// a perfect reading.
-const MIN_RESIDUAL: f32 = 1e-4;
+/// Difference of print from its image that no fit explains, as a share of its contrast.
+const MODEL_ERROR: f64 = 0.03;
+
+/// Largest squared contrast of print, in variances of its cells: a seventh of them is white, or
+/// black.
+const CONTRAST_OF_VARIANCE: f64 = 8.0;
+
+/// Independent values for each cell of a square that is no marker. With this share, squares become
+/// rarer by e for each unit of their log odds.
+const INDEPENDENT_SHARE: f64 = 0.39;
 
 /// Correlation of a square without a marker with the best of many markers. Squares of textures have
 /// 0.64 to 0.69 in the median, those of real panoramas 0.72 to 0.76. With this as the alternative,
@@ -37,23 +44,41 @@ pub(crate) struct Decoded {
     /// Index of the square's corner that is the printed top left.
     pub first_corner: usize,
     /// Normalized correlation with the marker, at most 1.
-    pub correlation: f32,
+    correlation: f32,
     /// Correlation with the next likely marker or with a square without a marker, whichever is
     /// larger.
     runner_up: f32,
     cells: usize,
+    /// Sum of the squares of the cells' deviations from their mean, where the contrast of the quiet
+    /// zone with the border is 1.
+    deviation: f64,
 }
 
 impl Decoded {
-    /// Logarithm of the likelihood ratio of this marker to the next likely one, or to a square
-    /// without a marker. The lesser one counts.
-    pub(crate) fn log_likelihood_ratio(&self) -> f32 {
-        log_likelihood_ratio(self.cells, self.correlation, self.runner_up)
+    /// Log odds of this marker against the next likely one and a square without a marker, by its
+    /// cells.
+    ///
+    /// With Gaussian residuals of unknown variance, the log-likelihood is -n/2 ln(1 - r^2): a fit
+    /// with correlation r leaves the share 1 - r^2 of the sum of squares. There are more steps than
+    /// cells, but they follow from the cells. `misfit` is the deviation of the square's edges from
+    /// those of print, as a share of its contrast. Cells deviate as much, so that a pattern with
+    /// less contrast is none. The contrast is that of the edges, or that of the cells if it may be
+    /// larger ([`CONTRAST_OF_VARIANCE`]).
+    pub(crate) fn log_odds(&self, misfit: f64) -> f64 {
+        let cells = self.cells as f64;
+        let unexplained = |correlation: f32| {
+            let share = 1.0 - f64::from(correlation).powi(2);
+            self.deviation * share.max(0.0)
+                + cells.max(CONTRAST_OF_VARIANCE * self.deviation)
+                    * (misfit.powi(2) + MODEL_ERROR.powi(2))
+        };
+        let ratio = unexplained(self.runner_up) / unexplained(self.correlation);
+        0.5 * INDEPENDENT_SHARE * cells * ratio.ln()
     }
 
-    /// The marker after a closer comparison, which can only lower its correlation.
+    /// The marker after a closer comparison.
     pub(crate) fn with(self, explained: &Explained) -> Self {
-        Self { correlation: self.correlation.min(explained.correlation()), ..self }
+        Self { correlation: explained.correlation(), ..self }
     }
 }
 
@@ -138,23 +163,6 @@ impl MarkerReader {
         Self { bits, count, cells, steps }
     }
 
-    /// Contrast between white and black cells if a reading shows this marker, as a share of the
-    /// contrast between quiet zone and border.
-    pub(crate) fn cell_contrast(&self, reading: &Reading, print: &MarkerPrint) -> f32 {
-        let mean = reading.cells.iter().sum::<f32>() / reading.cells.len() as f32;
-        // The slope of the reading over the blurred print, at the blur that explains most of it.
-        let slope = BLURS_CELLS.map(|blur| {
-            let drawn = Drawn::new(print, self.bits, blur).cells();
-            let drawn_mean = drawn.iter().sum::<f32>() / drawn.len() as f32;
-            let pairs = || drawn.iter().map(|cell| cell - drawn_mean).zip(&reading.cells);
-            let product: f32 = pairs().map(|(drawn, cell)| drawn * (cell - mean)).sum();
-            let square: f32 = pairs().map(|(drawn, _)| drawn * drawn).sum();
-            (product * product / square.max(1e-9), product / square.max(1e-9))
-        });
-        let best = slope.into_iter().max_by(|a, b| a.0.total_cmp(&b.0));
-        best.map_or(0.0, |(_, slope)| slope / reading.edge_contrast.max(1e-6))
-    }
-
     /// Correlates a marker with a reading that begins at its printed top left.
     ///
     /// Unlike [`Self::compare`] it also looks within the cells: print changes at their edges alone.
@@ -163,24 +171,26 @@ impl MarkerReader {
         let mut cells = reading.cells.clone();
         normalise_about_mean(&mut cells);
         let even = BLURS_CELLS.map(|blur| product(&drawn_cells(print, self.bits, blur), &cells));
-        let uneven = reading.steps.as_ref().map(|read| {
+        let uneven = reading.steps.as_ref().map_or(0.0, |read| {
             let read = joined(steps(&read.logs, self.bits), &read.within);
-            STEP_BLURS_CELLS.map(|blur| {
+            let at = |blur| {
                 let drawn = Drawn::new(print, self.bits, blur);
                 product(&joined(drawn.steps(), &drawn.steps_within()), &read)
-            })
+            };
+            STEP_BLURS_CELLS.into_iter().map(at).fold(0.0, f32::max)
         });
-        let largest = |of: &[f32]| of.iter().copied().fold(0.0, f32::max);
-        Explained { even: largest(&even), uneven: uneven.map_or(0.0, |uneven| largest(&uneven)) }
+        Explained { even: even.into_iter().fold(0.0, f32::max), uneven }
     }
 
     /// Correlates a reading with each marker. `None` for a reading without contrast.
     pub(crate) fn compare(&self, reading: &Reading) -> Option<Correlations> {
         let mut cells = reading.cells.clone();
         let mut logs = reading.steps.as_ref().map(|steps| steps.logs.clone());
-        if normalise_about_mean(&mut cells) < MIN_CONTRAST {
+        let norm = normalise_about_mean(&mut cells);
+        if norm < MIN_CONTRAST {
             return None;
         }
+        let deviation = f64::from(norm / reading.edge_contrast).powi(2);
         let by_rotation = std::array::from_fn(|first_corner| {
             if first_corner > 0 {
                 cells = rotate(&cells, self.bits);
@@ -199,13 +209,15 @@ impl MarkerReader {
             }
             best
         });
-        Some(Correlations { cells: self.bits * self.bits, count: self.count, by_rotation })
+        let (cells, count) = (self.bits * self.bits, self.count);
+        Some(Correlations { cells, deviation, count, by_rotation })
     }
 }
 
 /// The correlation of a reading with each marker of a dictionary.
 pub(crate) struct Correlations {
     cells: usize,
+    deviation: f64,
     count: usize,
     /// For each rotation of the square, the correlation with each marker in the better model of the
     /// light, at the best blur.
@@ -215,40 +227,22 @@ pub(crate) struct Correlations {
 impl Correlations {
     /// The marker with the largest correlation. `None` for an empty dictionary.
     pub(crate) fn best(&self) -> Option<Decoded> {
-        let mut best: Option<Decoded> = None;
+        let mut best: Option<(f32, u32, usize)> = None;
         let mut runner_up = NO_MARKER_CORRELATION;
         for (first_corner, correlations) in self.by_rotation.iter().enumerate() {
             let correlations = &correlations.as_flattened()[..self.count];
             for (id, &correlation) in (0..).zip(correlations) {
-                match best {
-                    Some(best) if correlation <= best.correlation => {
-                        runner_up = runner_up.max(correlation);
-                    }
-                    _ => {
-                        runner_up = best.map_or(runner_up, |best| best.correlation.max(runner_up));
-                        best = Some(Decoded {
-                            id,
-                            first_corner,
-                            correlation,
-                            runner_up,
-                            cells: self.cells,
-                        });
-                    }
+                let (largest, ..) = best.unwrap_or((f32::MIN, 0, 0));
+                runner_up = runner_up.max(correlation.min(largest));
+                if correlation > largest {
+                    best = Some((correlation, id, first_corner));
                 }
             }
         }
-        best.map(|best| Decoded { runner_up, ..best })
+        let (correlation, id, first_corner) = best?;
+        let (cells, deviation) = (self.cells, self.deviation);
+        Some(Decoded { id, first_corner, correlation, runner_up, cells, deviation })
     }
-}
-
-/// Logarithm of the likelihood ratio of two fits to the same cells, by their correlations.
-///
-/// With Gaussian residuals of unknown variance, the log-likelihood is -n/2 ln(1 - r^2): a fit with
-/// correlation r leaves the share 1 - r^2 of the sum of squares. There are more steps than cells,
-/// but they follow from the cells: n is the number of cells.
-fn log_likelihood_ratio(cells: usize, likelier: f32, other: f32) -> f32 {
-    let residual = |correlation: f32| (1.0 - correlation * correlation).max(MIN_RESIDUAL);
-    0.5 * cells as f32 * (residual(other) / residual(likelier)).ln()
 }
 
 fn product(one: &[f32], other: &[f32]) -> f32 {
@@ -320,6 +314,23 @@ mod tests {
     }
 
     #[test]
+    fn log_odds_fall_with_the_misfit_of_the_edges_and_where_the_pattern_is_faint() {
+        let log_odds = |correlation: f32, deviation: f64, misfit: f64| {
+            let runner_up = NO_MARKER_CORRELATION;
+            Decoded { id: 0, first_corner: 0, correlation, runner_up, cells: 25, deviation }
+                .log_odds(misfit)
+        };
+        // Half of the cells are white: their squared deviations add up to a quarter of their number.
+        let print = 25.0 / 4.0;
+        assert!(log_odds(NO_MARKER_CORRELATION, print, 0.05).abs() < 1e-9);
+        assert!(log_odds(0.97, print, 0.05) > log_odds(0.95, print, 0.05));
+        assert!(log_odds(0.95, print, 0.05) > log_odds(0.95, print, 0.15));
+        // A hundredth of the contrast.
+        assert!(log_odds(0.9999, print, 0.05) > 4.0);
+        assert!(log_odds(0.9999, print * 1e-4, 0.05) < 0.1);
+    }
+
+    #[test]
     fn comparing_many_markers_at_once_gives_the_plain_correlations() {
         // Neither number of markers is a multiple of the lanes.
         for name in ["DICT_5X5_250", "DICT_4X4_50"] {
@@ -341,7 +352,7 @@ mod tests {
             }
             let best = correlations.best().unwrap();
             assert_eq!((best.id, best.first_corner), (last, 1));
-            assert!(best.correlation > 0.95 && best.log_likelihood_ratio() > 10.0, "{best:?}");
+            assert!(best.correlation > 0.95 && best.log_odds(0.0) > 4.0, "{best:?}");
         }
         let dictionary = Dictionary::load("DICT_5X5_250").unwrap();
         assert!(MarkerReader::new(&dictionary).compare(&reading(&[0.5; 49], 5)).is_none());
@@ -358,7 +369,7 @@ mod tests {
             let reading = lit(&white, bits, vec![0.0; 2 * bits * bits], light);
             let best = reader.compare(&reading).unwrap().best().unwrap();
             assert_eq!((best.id as usize, best.first_corner), (id, 0), "{best:?}");
-            assert!(best.correlation > 0.8 && best.log_likelihood_ratio() > 10.0, "{best:?}");
+            assert!(best.correlation > 0.8 && best.log_odds(0.0) > 4.0, "{best:?}");
         }
     }
 
