@@ -78,8 +78,8 @@ WIND = ["simulator.tilt_deg=17", "simulator.yaw_deg_s=30", "simulator.yaw_swing_
         "simulator.sun.ratio=4"]
 SIMULATED["wind"] = ("simulated flights of fast neighbours in strong wind and a low sun at 0.9 to 2.6 m, H.264",
                      WIND, range(2201, 2213), 150, list(WAYS))
-SIMULATED["minutes"] = ("five minutes of fast neighbours in strong wind and a low sun, H.264",
-                        WIND, range(3101, 3161), 150, ["real time"])
+SIMULATED["minutes"] = ("ten minutes of fast neighbours in strong wind and a low sun, H.264",
+                        WIND, range(3101, 3221), 150, ["real time"])
 # Drawn as videos first, which are flown as recordings.
 FILMED = ["wind", "minutes"]
 # In the wrong light: single images, half a second apart, and flights.
