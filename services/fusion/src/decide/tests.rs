@@ -147,7 +147,7 @@ fn a_vague_prediction_says_little_against_a_mirror_pose() {
 }
 
 #[test]
-fn one_facet_alone_waits_for_the_other_starts() {
+fn a_pose_that_several_facets_confirm_ends_the_comparison_in_flight() {
     let one = tried(0.0, 9.0, true);
     assert!(!ends_competition(&one, TimeBudget::OneFrame));
     let several = told_by_facets(one);
