@@ -86,7 +86,7 @@ impl DetectionHeader {
         check_count("markers in a view", markers.len(), MAX_DETECTED_MARKERS)?;
         check_count("hits among the markers", self.hits as usize, markers.len())?;
         for marker in markers {
-            // Builds before contract version 8 marked squares here that were not decoded.
+            // Earlier builds, also of contract version 8, marked squares here that were not decoded.
             if marker.reserved != 0 {
                 return Err(ContractError::Code { what: "reserved", code: marker.reserved });
             }
