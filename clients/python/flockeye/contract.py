@@ -8,7 +8,7 @@ from ctypes import c_double, c_float, c_int64, c_uint8, c_uint32, c_uint64
 from enum import IntEnum
 from typing import NamedTuple
 
-CONTRACT_VERSION = "8"
+CONTRACT_VERSION = "9"
 VERSION_ATTRIBUTE = "flockeye.contract"
 # Of an index that points nowhere.
 NONE = 0xFFFFFFFF

@@ -58,7 +58,7 @@ pub struct DetectedMarker {
     pub corners_in_view: [[f32; 2]; 4],
     /// The marker's id in its dictionary.
     pub id: u32,
-    /// Always 0. Squares that were not decoded are not sent.
+    /// Always 0.
     pub reserved: u32,
 }
 
@@ -80,16 +80,11 @@ impl DetectionHeader {
         }
     }
 
-    /// Refuses records with rays that are no unit vectors, with invalid standard deviations, or with
-    /// squares that were not decoded.
+    /// Refuses records with rays that are no unit vectors or with invalid standard deviations.
     pub fn check(&self, markers: &[DetectedMarker]) -> Result<(), ContractError> {
         check_count("markers in a view", markers.len(), MAX_DETECTED_MARKERS)?;
         check_count("hits among the markers", self.hits as usize, markers.len())?;
         for marker in markers {
-            // Earlier builds, also of contract version 8, marked squares here that were not decoded.
-            if marker.reserved != 0 {
-                return Err(ContractError::Code { what: "reserved", code: marker.reserved });
-            }
             for ray in &marker.rays_in_camera {
                 let norm = ray.iter().map(|x| x * x).sum::<f64>().sqrt();
                 // NaN compares false, so it is refused too.

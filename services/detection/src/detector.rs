@@ -7,7 +7,7 @@ use flockeye_geometry::Ray;
 use flockeye_geometry::mask::Mask;
 use flockeye_geometry::view::{View, ViewPixel};
 use flockeye_imaging::edges::{
-    Grain, MarkerPrint, RefinedCorners, approach_corners, refine_corners,
+    Grain, Lighting, MarkerPrint, RefinedCorners, approach_corners, refine_corners,
 };
 use flockeye_imaging::image::LumaImage;
 use flockeye_imaging::light::LinearLight;
@@ -17,7 +17,7 @@ use crate::candidates::{Candidates, Finder};
 use crate::drawn::SAMPLE_CELLS;
 use crate::parameters::{DetectError, DetectorParameters, check_thresholds};
 use crate::quad::{Quad, centre, rotated, with_parallelogram_corner};
-use crate::reader::{Explained, MarkerReader};
+use crate::reader::MarkerReader;
 use crate::reading::Reading;
 use crate::shape::is_square;
 use crate::windows::Threshold;
@@ -70,7 +70,8 @@ pub struct MarkerInView {
     pub deviations_rad: [f64; 4],
     /// Whether the corners are those of the fitted print, rather than of the outline.
     pub is_refined: bool,
-    /// Log odds that the square is this marker, rather than another one or none.
+    /// Log odds that the square is this marker, rather than another one or none. 0 if it was found
+    /// by OpenCV, which states none.
     pub log_odds: f64,
 }
 
@@ -187,53 +188,51 @@ impl Detector {
         }
         let print = self.dictionary.print(decoded.id)?;
         let outline = rotated(&near, decoded.first_corner);
-        let (corners, explained) = self.with_hidden_corner(image, light, &outline, print)?;
-        let by_outline = decoded.with(&explained).log_odds(UNREFINED_MISFIT)
-            - self.misplacement(&corners, &[UNREFINED_PX; 4]);
+        let (corners, lighting) = self.with_hidden_corner(image, light, &outline, print)?;
+        let accepted = |corners: &Quad, sigmas_px: [f64; 4], misfit: f64| {
+            let log_odds = self.log_odds(image, light, corners, decoded.id, print, misfit)?
+                - self.misplacement(corners, &sigmas_px);
+            let found = found_at(view, decoded.id, *corners, sigmas_px);
+            (log_odds >= MIN_LOG_ODDS).then_some(MarkerInView { log_odds, ..found })
+        };
         let fit = |guess: &Quad| {
             let (grain, fit) = (self.grain, self.parameters.corner_fit);
-            refine_corners(image, light, guess, print, grain, explained.lighting(), fit)
+            refine_corners(image, light, guess, print, grain, lighting, fit)
         };
-        let is_by_outline = by_outline >= MIN_LOG_ODDS;
-        // The corner that something hides may spoil the fit.
-        let refined = fit(&corners).or_else(|| {
-            let guesses = (0..4).filter(|_| is_by_outline);
-            guesses.map(|k| with_parallelogram_corner(&corners, k)).find_map(|guess| fit(&guess))
-        });
-        let by_fit = refined.and_then(|refined| {
-            let log_odds = self.log_odds(image, light, &refined, decoded.id, print)?;
-            let found = found_at(view, decoded.id, refined.corners_in_view, refined.sigmas_px);
-            Some(MarkerInView { is_refined: true, log_odds, ..found })
-        });
-        // Where nothing could be fitted, or a shadow spoiled the fit, the outline's corners stay.
-        let by_outline = is_by_outline.then(|| MarkerInView {
-            log_odds: by_outline,
-            ..found_at(view, decoded.id, corners, [UNREFINED_PX; 4])
-        });
-        by_fit
-            .filter(|marker| marker.log_odds >= MIN_LOG_ODDS)
-            .or(by_outline)
-            .filter(|marker| is_square(&marker.rays_in_camera, &marker.deviations_rad))
+        let accepted_fit = |refined: RefinedCorners| {
+            let RefinedCorners { corners_in_view, sigmas_px, residual_sigma, .. } = refined;
+            let found = accepted(&corners_in_view, sigmas_px, residual_sigma)?;
+            Some(MarkerInView { is_refined: true, ..found })
+        };
+        let refined = fit(&corners);
+        let is_fitted = refined.is_some();
+        let by_fit = refined.and_then(accepted_fit);
+        // Where a shadow or something else spoils the fit, the reading of the outline may be enough.
+        // The corner that is hidden may lie elsewhere.
+        let found = by_fit.or_else(|| {
+            let by_outline = accepted(&corners, [UNREFINED_PX; 4], UNREFINED_MISFIT)?;
+            let guesses = (0..4).filter(|_| !is_fitted);
+            let mut guesses = guesses.map(|k| with_parallelogram_corner(&corners, k));
+            guesses.find_map(|guess| fit(&guess)).and_then(accepted_fit).or(Some(by_outline))
+        })?;
+        is_square(&found.rays_in_camera, &found.deviations_rad).then_some(found)
     }
 
-    /// Log odds that a square with fitted corners is this marker. `None` if it reads as another one.
+    /// Log odds that the square with these corners is this marker, by its cells. `None` if it reads
+    /// as another one. `misfit`: see [`Decoded::log_odds`](crate::reader::Decoded::log_odds).
     fn log_odds(
         &self,
         image: &LumaImage<'_>,
         light: &LinearLight,
-        refined: &RefinedCorners,
+        corners: &Quad,
         id: u32,
         print: &MarkerPrint,
+        misfit: f64,
     ) -> Option<f64> {
-        let corners = &refined.corners_in_view;
         let reading = self.reading(image, light, corners)?;
         let decoded = self.reader.compare(&reading)?.best()?;
-        let explained = self.reader.explain(&reading, print);
         let is_same = (decoded.id, decoded.first_corner) == (id, 0);
-        is_same.then(|| {
-            decoded.with(&explained).log_odds(refined.residual_sigma)
-                - self.misplacement(corners, &refined.sigmas_px)
-        })
+        is_same.then(|| decoded.with(&self.reader.explain(&reading, print)).log_odds(misfit))
     }
 
     /// Log odds that a reading loses by the uncertainty of its corners.
@@ -246,16 +245,16 @@ impl Detector {
         sigmas_px.iter().map(|sigma_px| 2.0 * (sigma_px / own_px).max(1.0).ln()).sum()
     }
 
-    /// The corners of an outline, with their reading. If the print reads better so, one corner is
-    /// replaced by that of a parallelogram, because an outline follows the object that hides a
-    /// corner.
+    /// The corners of an outline, and the light in which the print reads best. If the print reads
+    /// better so, one corner is replaced by that of a parallelogram, because an outline follows the
+    /// object that hides a corner.
     fn with_hidden_corner(
         &self,
         image: &LumaImage<'_>,
         light: &LinearLight,
         outline: &Quad,
         print: &MarkerPrint,
-    ) -> Option<(Quad, Explained)> {
+    ) -> Option<(Quad, Lighting)> {
         let read = |corners: Quad| {
             let reading = self.reading(image, light, &corners)?;
             Some((corners, self.reader.explain(&reading, print)))
@@ -266,7 +265,7 @@ impl Detector {
                 best = completed;
             }
         }
-        Some(best)
+        Some((best.0, best.1.lighting()))
     }
 
     /// The cells of a square that has a quiet zone.

@@ -21,8 +21,8 @@ pub enum Engine {
 }
 
 impl Engine {
-    /// The detector of this kind for the dictionary of this name. `parameters` and the `expected`
-    /// ids of undecodable squares apply to our own detector alone.
+    /// The detector of this kind for the dictionary of this name. `parameters` apply to our
+    /// own detector alone.
     ///
     /// # Errors
     /// An unknown dictionary, a broken file, or a parameter outside its range.

@@ -76,7 +76,7 @@ impl OpenCvDetector {
                 let corners = [corner(0)?, corner(1)?, corner(2)?, corner(3)?]
                     .map(|corner| ViewPixel::new(f64::from(corner.x), f64::from(corner.y)));
                 let id = u32::try_from(id).ok()?;
-                Some(MarkerInView { ..found_at(view, id, corners, [CORNER_PX; 4]) })
+                Some(found_at(view, id, corners, [CORNER_PX; 4]))
             })
             .filter(|found| !is_hidden(self.mask.as_ref(), view, &found.corners_in_view))
             .collect();

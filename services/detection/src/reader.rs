@@ -32,9 +32,7 @@ const CONTRAST_OF_VARIANCE: f64 = 8.0;
 const INDEPENDENT_SHARE: f64 = 0.39;
 
 /// Correlation of a square without a marker with the best of many markers. Squares of textures have
-/// 0.64 to 0.69 in the median, those of real panoramas 0.72 to 0.76. With this as the alternative,
-/// 24 of 11,216 squares of textures have a ratio of 10 or more, and 8 of 1,019 of panoramas. All
-/// but 6 of these are in the oldest dictionary.
+/// 0.64 to 0.69 in the median, those of real panoramas 0.72 to 0.76.
 const NO_MARKER_CORRELATION: f32 = 0.65;
 
 /// Result of decoding a square.
@@ -61,9 +59,10 @@ impl Decoded {
     /// With Gaussian residuals of unknown variance, the log-likelihood is -n/2 ln(1 - r^2): a fit
     /// with correlation r leaves the share 1 - r^2 of the sum of squares. There are more steps than
     /// cells, but they follow from the cells. `misfit` is the deviation of the square's edges from
-    /// those of print, as a share of its contrast. Cells deviate as much, so that a pattern with
-    /// less contrast is none. The contrast is that of the edges, or that of the cells if it may be
-    /// larger ([`CONTRAST_OF_VARIANCE`]).
+    /// those of print, as a share of its contrast. It is an error of each cell besides, and so is
+    /// [`MODEL_ERROR`]. The contrast is the largest that the cells allow ([`CONTRAST_OF_VARIANCE`]),
+    /// or that of the edges where the cells are fainter. So a pattern is no print if it is as faint
+    /// as the errors of its edges.
     pub(crate) fn log_odds(&self, misfit: f64) -> f64 {
         let cells = self.cells as f64;
         let unexplained = |correlation: f32| {
@@ -325,8 +324,8 @@ mod tests {
         assert!(log_odds(NO_MARKER_CORRELATION, print, 0.05).abs() < 1e-9);
         assert!(log_odds(0.97, print, 0.05) > log_odds(0.95, print, 0.05));
         assert!(log_odds(0.95, print, 0.05) > log_odds(0.95, print, 0.15));
-        // A hundredth of the contrast.
         assert!(log_odds(0.9999, print, 0.05) > 4.0);
+        // A hundredth of the contrast.
         assert!(log_odds(0.9999, print * 1e-4, 0.05) < 0.1);
     }
 

@@ -230,8 +230,8 @@ impl Aligner {
     /// results of the starts, and the mirror pose of the likeliest one about its most informative
     /// facet. The hypotheses are added to `tried`.
     ///
-    /// With a limited budget the first accepted pose that several facets support ends the search.
-    /// All starts of an untracked target took 113 ms, and every other pose waits for them.
+    /// Every other pose waits for these starts. So with a limited budget the first accepted pose that
+    /// several facets support ends the search.
     pub fn initiate(
         &self,
         sought: &Sought<'_>,

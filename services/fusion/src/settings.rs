@@ -16,7 +16,7 @@ use flockeye_runtime::memory;
 use crate::aligner::Aligner;
 use crate::core::Core;
 use crate::frame::frames::{Frames, Keeping};
-use crate::measure::background::BackgroundQueue;
+use crate::measure::background::BackgroundSlot;
 use crate::output::Writer;
 use crate::parallax::Parallax;
 use crate::pictures::PictureReader;
@@ -66,7 +66,7 @@ pub fn configured<P: AsRef<[u8]>>(
     tracker.camera.parallax = parallax.clone();
     let readout_s = pipeline.camera.readout_ms * 1e-3;
     tracker.camera.readout = (readout_s > 0.0).then_some((*camera, readout_s));
-    tracker.background = has_background.then(BackgroundQueue::default);
+    tracker.background = has_background.then(BackgroundSlot::default);
     let schedule = match pipeline.limit() {
         FrameLimit::Time => Schedule::Flight,
         FrameLimit::Costs => Schedule::Virtual(VirtualClock::new(pipeline.costs())),

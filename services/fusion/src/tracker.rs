@@ -16,7 +16,7 @@ use crate::decide::markers::contradicts;
 use crate::decide::outcome::Outcome;
 use crate::exposure::ExposureEstimate;
 use crate::frame::parts::{Part, Status, unpublished};
-use crate::measure::background::BackgroundQueue;
+use crate::measure::background::BackgroundSlot;
 use crate::measure::{AnsweredView, BestViews, FrameTime, distinct_decoded};
 use crate::measurement::{PoseMeasurement, decoded_rays};
 use crate::parallax::Parallax;
@@ -48,7 +48,7 @@ pub struct Tracker {
     pub(crate) threads: usize,
     pub(crate) camera: CameraState,
     /// Queue of long passes; `None`: they run at once.
-    pub(crate) background: Option<BackgroundQueue>,
+    pub(crate) background: Option<BackgroundSlot>,
     attempts: Attempts,
     /// The last frame that has ended, and its exposure, seconds.
     pub(crate) ended: Option<(FrameOrder, f64)>,
@@ -201,8 +201,8 @@ impl Tracker {
         if let Some(part) = part {
             part.status = Status::Published { direct_pose: None };
         }
-        if let Some(queue) = &mut self.background {
-            queue.cancel(time.order, target);
+        if let Some(slot) = &mut self.background {
+            slot.cancel(time.order, target);
         }
         (Some((target, estimate)), outcome)
     }

@@ -9,7 +9,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#define FLOCKEYE_CONTRACT_VERSION "8"
+#define FLOCKEYE_CONTRACT_VERSION "9"
 #define FLOCKEYE_VERSION_ATTRIBUTE "flockeye.contract"
 /* Of an index that points nowhere. */
 #define FLOCKEYE_NONE 4294967295u

@@ -7,7 +7,7 @@ use crate::decide::{Decision, PoseIndex};
 use crate::fixtures::*;
 use crate::frame::frames::Keeping;
 use crate::hypothesis::{Hypothesis, StartSource};
-use crate::measure::background::BackgroundQueue;
+use crate::measure::background::BackgroundSlot;
 use crate::output::Cause;
 use crate::schedule::VirtualClock;
 use flockeye_config::Costs;
@@ -26,7 +26,7 @@ fn core_with(schedule: Schedule, keeps_places: bool) -> Core<Vec<u8>> {
     let is_limited = !matches!(schedule, Schedule::Unlimited);
     let mut tracker = tracker_of(vec![alpha()], 1);
     if is_limited {
-        tracker.background = Some(BackgroundQueue::default());
+        tracker.background = Some(BackgroundSlot::default());
     }
     let lights = RadianceCache::new(None).unwrap();
     let keeping = Keeping {

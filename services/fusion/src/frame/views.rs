@@ -54,19 +54,18 @@ impl ViewQuality {
         let middle = (f64::from(view.size_px) - 1.0) / 2.0;
         let of_body = record.markers.iter().filter(|marker| body.marker(marker.id).is_some());
         let decoded = of_body.clone().count() as u32;
-        let (mut sum, mut count) = ([0.0; 2], 0.0);
-        for [u, v] in of_body.flat_map(|marker| marker.corners_in_view) {
-            sum = [sum[0] + f64::from(u), sum[1] + f64::from(v)];
-            count += 1.0;
-        }
+        let corners = of_body.flat_map(|marker| marker.corners_in_view);
+        let sum =
+            corners.fold([0.0; 2], |sum, [u, v]| [sum[0] + f64::from(u), sum[1] + f64::from(v)]);
+        let count = 4.0 * f64::from(decoded);
         if !is_own && decoded == 0 {
             return None;
         }
         let view_index = view.view_index;
         Some(match stop_rule {
             StopRule::All | StopRule::Deadline => {
-                let off_px = match count {
-                    0.0 => 0.0,
+                let off_px = match decoded {
+                    0 => 0.0,
                     _ => (sum[0] / count - middle).hypot(sum[1] / count - middle),
                 };
                 let (focal_px, off_centre) = (view.focal_px, off_px / view.focal_px);

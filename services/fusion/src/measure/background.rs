@@ -24,10 +24,10 @@ use crate::decide::markers::supports;
 use crate::hypothesis::StartSource;
 use crate::policy::TimeBudget;
 
-/// Background passes that run or were refused. It holds no thread: the caller of
-/// [`BackgroundQueue::take_job`] returns the answer to [`BackgroundQueue::finish`].
+/// The background pass that runs, and the targets that were refused one. It holds no thread: the caller of
+/// [`BackgroundSlot::take_job`] returns the answer to [`BackgroundSlot::finish`].
 #[derive(Debug, Default)]
-pub(crate) struct BackgroundQueue {
+pub(crate) struct BackgroundSlot {
     pub(crate) under_way: Option<UnderWay>,
     /// The job that was granted, until it is taken.
     to_run: Option<Job>,
@@ -48,7 +48,7 @@ pub(crate) struct UnderWay {
     pub(crate) is_cancelled: bool,
 }
 
-impl BackgroundQueue {
+impl BackgroundSlot {
     /// Requests a pass, and returns whether it is granted. It is refused while another runs. A
     /// target that had the last pass goes behind those that were refused meanwhile.
     pub(crate) fn request(&mut self, time: FrameTime, inputs: &PassInputs<'_>) -> bool {

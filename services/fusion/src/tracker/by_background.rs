@@ -9,7 +9,7 @@ use crate::decide::is_independent;
 use crate::decide::outcome::Outcome;
 use crate::frame::parts::Part;
 use crate::measure::FrameTime;
-use crate::measure::background::{BackgroundQueue, Job, UnderWay};
+use crate::measure::background::{BackgroundSlot, Job, UnderWay};
 
 impl Tracker {
     /// Returns the background pass to run now.
@@ -19,12 +19,12 @@ impl Tracker {
 
     /// The frame in which a background pass may still have a result.
     pub(crate) fn awaited(&self) -> Option<FrameOrder> {
-        self.background.as_ref().and_then(BackgroundQueue::awaited)
+        self.background.as_ref().and_then(BackgroundSlot::awaited)
     }
 
-    /// Whether a background pass over a frame runs or waits, cancelled or not.
+    /// Whether a background pass over a frame runs, cancelled or not.
     pub fn has_background_of(&self, order: FrameOrder) -> bool {
-        self.background.as_ref().is_some_and(|queue| queue.is_about(order))
+        self.background.as_ref().is_some_and(|slot| slot.is_about(order))
     }
 
     /// The frame of the running background pass, cancelled or not.

@@ -61,7 +61,7 @@ impl Tracker {
                 continue;
             }
             let is_in_background = inputs.wants_background()
-                && background.as_mut().is_some_and(|queue| queue.request(time, inputs));
+                && background.as_mut().is_some_and(|slot| slot.request(time, inputs));
             failed.push((target, trial, inputs.attempt(), is_in_background, corrected));
         }
         (self.background, self.attempts) = (background, attempts);
@@ -100,7 +100,7 @@ impl Tracker {
     ) -> Trial {
         let prior = self.prior(target, time.at_s);
         let is_open = prior.confirmed().is_some() && part.is_region_tried;
-        // Only starts round a prediction take long.
+        // Rough starts and the search need a prediction.
         let is_deferred = budget != TimeBudget::Unlimited
             && has_background
             && prior.predicted().is_some()

@@ -33,7 +33,7 @@ impl Tracking {
     }
 
     fn with_background(mut self) -> Self {
-        self.tracker.background = Some(BackgroundQueue::default());
+        self.tracker.background = Some(BackgroundSlot::default());
         self
     }
 

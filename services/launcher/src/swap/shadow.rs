@@ -106,11 +106,14 @@ impl Shadow {
 
 /// The markers that were decoded in a view, each with the ray of its first corner.
 fn searched(message: &Message<Detections>, part: u64) -> StageAnswer {
-    let decoded = message.items().iter();
     StageAnswer {
         frame: message.header.stamp.order(),
         part,
-        found: decoded.map(|marker| (marker.id, Some(marker.rays_in_camera[0].into()))).collect(),
+        found: message
+            .items()
+            .iter()
+            .map(|marker| (marker.id, Some(marker.rays_in_camera[0].into())))
+            .collect(),
         took_ns: Some(message.header.sent_ns - message.header.received_ns),
     }
 }

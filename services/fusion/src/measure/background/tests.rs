@@ -1,4 +1,4 @@
-//! Which background pass runs, waits or is refused.
+//! Which background pass runs, and which is refused.
 
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 use super::*;
@@ -10,7 +10,7 @@ use nalgebra::{Matrix6, Vector3};
 
 /// Requests passes over an empty picture, for tracked targets.
 fn with_requests(
-    by: impl FnOnce(&mut BackgroundQueue, &dyn Fn(&mut BackgroundQueue, usize) -> bool),
+    by: impl FnOnce(&mut BackgroundSlot, &dyn Fn(&mut BackgroundSlot, usize) -> bool),
 ) {
     let body = alpha();
     let (pixels, light) =
@@ -20,7 +20,7 @@ fn with_requests(
     let picture = Picture::still(image, view, &light, 611.0);
     let camera_from_markers = Isometry3::translation(1.0, 0.0, 0.0);
     let covariance = Matrix6::identity();
-    let request = |queue: &mut BackgroundQueue, target: usize| {
+    let request = |slot: &mut BackgroundSlot, target: usize| {
         let prior = TrackPrior::Confirmed(PoseEstimate { camera_from_markers, covariance });
         let begun = Trial::of(Pass::Complete, &prior, TimeBudget::OneFrame);
         let view = BestView { picture, view_index: 0, rays_m: f64::INFINITY };
@@ -35,49 +35,49 @@ fn with_requests(
             may_search: false,
             part: None,
         };
-        queue.request(TIME, &inputs)
+        slot.request(TIME, &inputs)
     };
-    by(&mut BackgroundQueue::default(), &request);
+    by(&mut BackgroundSlot::default(), &request);
 }
 
 const TIME: FrameTime = FrameTime { order: (0, 0, 0), at_s: 0.0, number: 0 };
 
 /// Ends what is under way without having found anything.
-fn finish(queue: &mut BackgroundQueue) {
-    queue.take_job().expect("a job is under way");
-    queue.finish();
+fn finish(slot: &mut BackgroundSlot) {
+    slot.take_job().expect("a job is under way");
+    slot.finish();
 }
 
 #[test]
 fn passes_run_one_at_a_time_and_refused_targets_go_first() {
-    with_requests(|queue, request| {
-        assert!(request(queue, 0));
-        assert!(!request(queue, 1) && !request(queue, 0), "one is under way");
-        finish(queue);
-        assert!(!request(queue, 0), "1 goes first");
-        assert!(request(queue, 1));
-        finish(queue);
-        assert!(request(queue, 1), "nobody else asked");
-        assert!(!request(queue, 0));
-        finish(queue);
-        assert!(!request(queue, 1));
-        assert!(request(queue, 1), "0 was left the place once and did not take it");
+    with_requests(|slot, request| {
+        assert!(request(slot, 0));
+        assert!(!request(slot, 1) && !request(slot, 0), "one is under way");
+        finish(slot);
+        assert!(!request(slot, 0), "1 goes first");
+        assert!(request(slot, 1));
+        finish(slot);
+        assert!(request(slot, 1), "nobody else asked");
+        assert!(!request(slot, 0));
+        finish(slot);
+        assert!(!request(slot, 1));
+        assert!(request(slot, 1), "0 was left the place once and did not take it");
     });
 }
 
 #[test]
 fn the_answer_of_a_cancelled_pass_is_dropped() {
-    with_requests(|queue, request| {
-        assert!(request(queue, 0));
-        queue.take_job().expect("a job");
-        assert!(queue.take_job().is_none(), "a job is run once");
-        queue.cancel((0, 0, 0), 0);
-        assert_eq!(queue.awaited(), None);
-        assert!(queue.finish().is_some_and(|finished| finished.is_cancelled));
-        assert!(request(queue, 0));
-        queue.take_job().expect("a job");
-        queue.cancel((0, 0, 7), 0);
-        let finished = queue.finish().expect("it was under way");
+    with_requests(|slot, request| {
+        assert!(request(slot, 0));
+        slot.take_job().expect("a job");
+        assert!(slot.take_job().is_none(), "a job is run once");
+        slot.cancel((0, 0, 0), 0);
+        assert_eq!(slot.awaited(), None);
+        assert!(slot.finish().is_some_and(|finished| finished.is_cancelled));
+        assert!(request(slot, 0));
+        slot.take_job().expect("a job");
+        slot.cancel((0, 0, 7), 0);
+        let finished = slot.finish().expect("it was under way");
         assert!(!finished.is_cancelled, "it was measured in another frame");
     });
 }
