@@ -35,11 +35,11 @@ const UNREFINED_MISFIT: f64 = 0.1;
 
 /// Least log odds of a marker, for a square to be one. docs/results/constants.md#limits-of-detection
 /// has the detections and false detections with other values.
-const MIN_LOG_ODDS: f64 = 3.6;
+const MIN_LOG_ODDS: f64 = 4.5;
 
 /// Log odds of an outline's reading from which a fit of its corners is worth its time. Where corners
 /// are only approximate, cells are sampled off their middles.
-const WORTH_FITTING: f64 = 1.5;
+const WORTH_FITTING: f64 = 2.0;
 
 /// Least step from the border out to the quiet zone, on each side, as a share of that from black
 /// print to white paper.
@@ -238,11 +238,11 @@ impl Detector {
     /// Log odds that a reading loses by the uncertainty of its corners.
     ///
     /// While each sample stays in its own cell, corners need not be known better. Beyond that a fit
-    /// could choose among as many readings as there are such places for each corner, along both
-    /// axes, and the best of many resembles a marker by chance.
+    /// could choose among several readings for each corner, and the best of many resembles a marker
+    /// by chance. docs/results/constants.md#limits-of-detection has what this finds and refuses.
     fn misplacement(&self, corners: &Quad, sigmas_px: &[f64; 4]) -> f64 {
         let own_px = (0.5 - SAMPLE_CELLS) * self.cell_px(corners);
-        sigmas_px.iter().map(|sigma_px| 2.0 * (sigma_px / own_px).max(1.0).ln()).sum()
+        sigmas_px.iter().map(|sigma_px| (sigma_px / own_px).max(1.0).ln()).sum()
     }
 
     /// The corners of an outline, and the light in which the print reads best. If the print reads

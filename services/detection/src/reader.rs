@@ -27,9 +27,9 @@ const MODEL_ERROR: f64 = 0.03;
 /// black.
 const CONTRAST_OF_VARIANCE: f64 = 8.0;
 
-/// Independent values for each cell of a square that is no marker. With this share, squares become
-/// rarer by e for each unit of their log odds.
-const INDEPENDENT_SHARE: f64 = 0.39;
+/// Independent values for each cell of a square that is no marker. With this share, and with the
+/// uncertainty of corners, such squares become rarer by e for each unit of their log odds.
+const INDEPENDENT_SHARE: f64 = 0.5;
 
 /// Correlation of a square without a marker with the best of many markers. Squares of textures have
 /// 0.64 to 0.69 in the median, those of real panoramas 0.72 to 0.76.
