@@ -48,7 +48,7 @@ fn initiate(
     let starts = with_sources(starts);
     let sought = Sought { target: 0, picture, starts: &starts, budget };
     let mut tried = Vec::new();
-    let decision = aligner.initiate(&sought, |_| false, &mut tried);
+    let decision = aligner.initiate(&sought, &mut tried);
     decision.chosen_of(&tried).filter(|_| decision.lead.is_none()).cloned()
 }
 
@@ -58,12 +58,11 @@ fn confirm(
     starts: &[Start],
     predicted: &Isometry3<f64>,
     budget: TimeBudget,
-    is_marked: impl Fn(&Isometry3<f64>) -> bool,
 ) -> Option<Alignment> {
     let starts = with_sources(starts);
     let sought = Sought { target: 0, picture, starts: &starts, budget };
     let mut tried = Vec::new();
-    let decision = aligner.confirm(&sought, &known_at(predicted), is_marked, &mut tried);
+    let decision = aligner.confirm(&sought, &known_at(predicted), &mut tried);
     decision.chosen_of(&tried).cloned()
 }
 
@@ -102,9 +101,7 @@ fn wrong_attitudes_neither_initiate_nor_confirm_a_track() {
                 let starts = [Start::Fine(predicted)];
                 let found = [
                     initiate(aligner, picture, &starts, TimeBudget::Unlimited),
-                    confirm(aligner, picture, &starts, &predicted, TimeBudget::Unlimited, |_| {
-                        false
-                    }),
+                    confirm(aligner, picture, &starts, &predicted, TimeBudget::Unlimited),
                 ];
                 for found in found.into_iter().flatten() {
                     // It may find its way to the truth, and nowhere else.
@@ -188,34 +185,33 @@ fn a_track_is_confirmed_farther_away_than_it_is_initiated() {
     let starts = [Start::Fine(truth)];
     with_picture(&truth, |aligner, picture| {
         assert!(initiate(aligner, picture, &starts, TimeBudget::Unlimited).is_none());
-        let found = confirm(aligner, picture, &starts, &truth, TimeBudget::Unlimited, |_| false);
+        let found = confirm(aligner, picture, &starts, &truth, TimeBudget::Unlimited);
         let found = found.expect("it is where it was expected");
         let error = found.camera_from_markers.translation.vector - truth.translation.vector;
         assert!(error.norm() < 0.05, "{} m", error.norm());
         // A few facets may be others' mirror poses: then it must not have turned far.
         assert!(!found.evidence.is_unambiguous(), "{:?}", found.evidence);
         assert!(
-            confirm(aligner, picture, &starts, &pose(4.6, 1.5), TimeBudget::Unlimited, |_| false)
-                .is_none()
+            confirm(aligner, picture, &starts, &pose(4.6, 1.5), TimeBudget::Unlimited).is_none()
         );
     });
 }
 
-/// The marker of a plate lies at the same place in its mirror pose, so it supports both.
+/// A plate and its mirror pose project almost alike, so the picture supports both.
 #[test]
-fn a_decoded_marker_does_not_support_a_pose_that_the_track_excludes() {
+fn a_mirror_pose_that_the_track_excludes_is_refused() {
     let body = plate("plate", 0.07, 0.05, 3);
-    let truth = facing(&body, 0.9);
+    let truth = facing(&body, 1.5);
     with_picture_of(&body, &truth, |aligner, picture| {
         let mirrored = aligner.prints[0].mirrored(0, &truth).unwrap();
         let follow = |start: Isometry3<f64>| {
             let starts = [Start::Fine(start)];
-            confirm(aligner, picture, &starts, &truth, TimeBudget::Unlimited, |_| true)
+            confirm(aligner, picture, &starts, &truth, TimeBudget::Unlimited)
         };
         assert!(follow(truth).is_some());
         let found = aligner.align(0, picture, &Start::Fine(mirrored)).unwrap();
         let turned = found.camera_from_markers.rotation.angle_to(&truth.rotation);
-        assert!(turned > 0.5 && found.is_accepted_with_markers(0.0), "{turned}, {found:?}");
+        assert!(turned > 0.5 && found.is_accepted_with_track_prior(0.0), "{turned}, {found:?}");
         assert!(follow(mirrored).is_none());
     });
 }
@@ -241,7 +237,7 @@ fn with_a_spent_budget_only_the_first_start_counts() {
     let truth = pose(0.8, 0.9);
     let starts = [Start::Fine(pose(0.8, 4.0)), Start::Fine(truth)];
     with_picture(&truth, |aligner, picture| {
-        let follow = |budget| confirm(aligner, picture, &starts, &truth, budget, |_| false);
+        let follow = |budget| confirm(aligner, picture, &starts, &truth, budget);
         assert!(follow(TimeBudget::Unlimited).is_some() && follow(TimeBudget::OneFrame).is_some());
         assert!(follow(TimeBudget::Overspent).is_none());
     });
@@ -284,7 +280,7 @@ fn a_body_in_a_mirror_is_nowhere() {
             let starts = with_sources(&[start]);
             let budget = TimeBudget::Unlimited;
             let sought = Sought { target: 0, picture: &picture, starts: &starts, budget };
-            let decision = aligner.initiate(&sought, |_| false, &mut Vec::new());
+            let decision = aligner.initiate(&sought, &mut Vec::new());
             assert_eq!(decision.chosen, None, "axis {axis}, step {step}");
             tried += 1;
         }
@@ -319,7 +315,7 @@ fn each_hypothesis_has_its_reason() {
     let truth = pose(0.8, 0.9);
     with_picture(&truth, |aligner, picture| {
         let confirm = |sought: &Sought<'_>, tried: &mut Vec<Hypothesis>| {
-            aligner.confirm(sought, &known_at(&truth), |_| false, tried)
+            aligner.confirm(sought, &known_at(&truth), tried)
         };
         let behind = Start::Fine(Isometry3::translation(-1.0, 0.0, 0.0));
         let starts = [behind, Start::Fine(pose(0.8, 4.0)), Start::Fine(truth)];
@@ -332,9 +328,8 @@ fn each_hypothesis_has_its_reason() {
         // What comes after a pose that is accepted by itself is not tried.
         let (verdicts, _) = decided(picture, &[Start::Fine(truth), Start::Fine(truth)], confirm);
         assert_eq!(verdicts, [Verdict::Accepted]);
-        let initiate = |sought: &Sought<'_>, tried: &mut Vec<Hypothesis>| {
-            aligner.initiate(sought, |_| false, tried)
-        };
+        let initiate =
+            |sought: &Sought<'_>, tried: &mut Vec<Hypothesis>| aligner.initiate(sought, tried);
         let starts = [Start::Fine(pose(0.8, 4.0)), Start::Fine(truth), Start::Rough(truth)];
         let (verdicts, list) = decided(picture, &starts, initiate);
         // Both lead to the body, and the last one is its mirror pose.
@@ -352,7 +347,7 @@ fn rivals_are_named_with_their_lead() {
     let truth = facing(&body, 1.8);
     with_picture_of(&body, &truth, |aligner, picture| {
         let (verdicts, list) = decided(picture, &[Start::Fine(truth)], |sought, tried| {
-            aligner.initiate(sought, |_| false, tried)
+            aligner.initiate(sought, tried)
         });
         let [Verdict::Rivals(lead), Verdict::Rival] = verdicts[..] else { panic!("{verdicts:?}") };
         assert!((0.0..least_lead()).contains(&lead.abs()), "{lead}");
@@ -369,7 +364,7 @@ fn the_mirror_pose_of_one_facet_is_tried_unless_the_track_excludes_it() {
         predicted.covariance.fixed_view_mut::<3, 3>(3, 3).fill_diagonal(deviation_rad.powi(2));
         with_picture_of(&body, &truth, |aligner, picture| {
             decided(picture, &[Start::Fine(truth)], |sought, tried| {
-                aligner.confirm(sought, &predicted, |_| false, tried)
+                aligner.confirm(sought, &predicted, tried)
             })
         })
     };
@@ -418,7 +413,7 @@ fn the_likeliest_pose_counts_and_not_the_most_precise_one() {
         let starts: Vec<Start> =
             starts.iter().map(|&found| Start::Tried(Ok(Box::new(found.clone())))).collect();
         let found = with_picture(&truth, |aligner, picture| {
-            confirm(aligner, picture, &starts, &truth, TimeBudget::OneFrame, |_| false)
+            confirm(aligner, picture, &starts, &truth, TimeBudget::OneFrame)
         });
         found.map(|found| found.evidence.log_odds)
     };

@@ -59,14 +59,6 @@ fn of_poses_that_a_track_supports_the_likeliest_counts() {
     // What is certain ends the search, even if something likelier was found before.
     let certain = [predicted(0.0, 9.0, false), predicted(0.0, 8.0, true)];
     assert_eq!(of_tracked(&certain).chosen, Some(PoseIndex::Hypothesis(1)));
-    // Markers make up for a weak picture, unless the prediction speaks against the pose.
-    let marked = |turn_log| Hypothesis {
-        turn_log: Some(turn_log),
-        is_marked: true,
-        ..tried(0.0, 2.0, true)
-    };
-    assert!(of_tracked(&[marked(0.0)]).chosen.is_some());
-    assert!(of_tracked(&[marked(-3.0)]).chosen.is_none());
 }
 
 #[test]
