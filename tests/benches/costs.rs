@@ -193,7 +193,11 @@ fn region(
             let sought = Sought { target: 0, picture, starts: &from_corners(), budget };
             aligner.initiate(&sought, &mut Vec::new())
         });
-        timed(&mut costs.background_pass, 1.0, || aligner.reacquire(0, picture, &predicted));
+        timed(&mut costs.background_pass, 1.0, || {
+            let starts = [(StartSource::RoughPrediction, Start::Rough(predicted))];
+            let sought = Sought { target: 0, picture, starts: &starts, budget };
+            aligner.confirm(&sought, &prior, &mut Vec::new())
+        });
     }
 }
 

@@ -51,7 +51,7 @@ const FIXED: [(&str, &str, &str); 23] = [
     ("search.costs.direct_pass_ms", "3.5", STATED),
     ("search.costs.corner_pass_ms", "4.0", STATED),
     ("search.costs.initiation_ms", "8.0", STATED),
-    ("search.costs.background_pass_ms", "45.0", STATED),
+    ("search.costs.background_pass_ms", "8.0", STATED),
     (
         "search.lossless_partitions",
         "4",

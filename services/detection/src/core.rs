@@ -11,7 +11,6 @@ use flockeye_imaging::edges::CornerFit;
 use crate::detector::MarkerInView;
 use crate::engine::Engine;
 use crate::parameters::DetectorParameters;
-use crate::plausible::keep_plausible;
 use crate::windows::thresholds;
 
 /// Most markers in one record: as many as the topic has room for, and no more than the contract
@@ -100,8 +99,7 @@ impl Core {
         let kind = ViewKind::try_from(header.kind)?;
         let thresholds = thresholds(kind, search, magnification);
         let light = self.lights.of(header)?;
-        let found = self.engine.detect(&image, &view, light, magnification, thresholds)?;
-        Ok(keep_plausible(found, &self.bodies))
+        Ok(self.engine.detect(&image, &view, light, magnification, thresholds)?)
     }
 }
 

@@ -21,7 +21,6 @@ mod engine;
 mod opencv_detector;
 mod outlines;
 mod parameters;
-mod plausible;
 mod polygon;
 mod quad;
 mod reader;
@@ -35,7 +34,6 @@ pub use detector::{Detector, MarkerInView};
 pub use engine::Engine;
 pub use opencv_detector::OpenCvDetector;
 pub use parameters::{DetectError, DetectorParameters};
-pub use plausible::keep_plausible;
 pub use quad::Quad;
 pub use windows::{DarkerBy, Threshold};
 

@@ -6,7 +6,7 @@ mod shared;
 
 use std::f64::consts::PI;
 
-use flockeye_detection::{Detector, DetectorParameters, MarkerInView, keep_plausible};
+use flockeye_detection::{Detector, DetectorParameters, MarkerInView};
 use flockeye_geometry::body::{Bodies, squares};
 use flockeye_geometry::pose::{CornerRay, solve};
 use flockeye_geometry::view::View;
@@ -33,7 +33,6 @@ impl Observer {
     /// The decoded markers in a view that belong to the bodies.
     fn decoded(&mut self, picture: &Picture, view: &View) -> Vec<MarkerInView> {
         let found = self.detector.detect(&picture.image(), view, &self.light);
-        let found = keep_plausible(found, &self.bodies);
         found.into_iter().filter(|marker| self.bodies.owner(marker.id).is_some()).collect()
     }
 

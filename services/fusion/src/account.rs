@@ -36,7 +36,7 @@ pub enum Pass {
     Region,
     /// The corner pass over the whole complete frame.
     Complete,
-    /// Starts from rough starts, and a search around the prediction.
+    /// Starts from rough starts.
     Background,
     /// Searches in any attitude, at a place that looks like a body.
     Place,

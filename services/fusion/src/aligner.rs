@@ -12,7 +12,7 @@ use flockeye_geometry::body::{Bodies, Body};
 use flockeye_geometry::pose::PoseEstimate;
 use flockeye_imaging::align::{
     AlignError, AlignOptions, Alignment, BodyPrint, Motion, Picture, Place, PrintError, Templates,
-    align, reacquire, starts_at,
+    align, starts_at,
 };
 use flockeye_imaging::edges::MarkerPrint;
 use nalgebra::{Isometry3, Unit, Vector3};
@@ -136,27 +136,17 @@ impl Aligner {
         self
     }
 
-    /// Searches for a body from its starts, then around the prediction `round` if no start leads to
-    /// a precise pose. `confirmed` is the prediction of a confirmed track. The other parameters are
-    /// those of [`Self::confirm`] and [`Self::initiate`].
+    /// Searches for a body from its starts. `confirmed` is the prediction of a confirmed track. The
+    /// other parameters are those of [`Self::confirm`] and [`Self::initiate`].
     pub(crate) fn find(
         &self,
         sought: &Sought<'_>,
         confirmed: Option<&PoseEstimate>,
-        round: Option<&PoseEstimate>,
         tried: &mut Vec<Hypothesis>,
     ) -> Decision {
-        let decision = match confirmed {
+        match confirmed {
             Some(predicted) => self.confirm(sought, predicted, tried),
             None => self.initiate(sought, tried),
-        };
-        match round {
-            Some(predicted) => {
-                let Sought { target, picture, .. } = *sought;
-                let is_confirmed = confirmed.is_some();
-                self.or_round(decision, target, picture, predicted, is_confirmed, tried)
-            }
-            None => decision,
         }
     }
 
@@ -271,43 +261,6 @@ impl Aligner {
         let up_in_markers = self.up_in_markers.get(target)?.filter(|_| self.max_tilt_rad > 0.0)?;
         let tilt_rad = (found.camera_from_markers * up_in_markers).angle(&self.up_in_camera);
         Some(tilt_rad <= self.max_tilt_rad)
-    }
-
-    /// Searches for body `target` around its prediction.
-    pub fn reacquire(
-        &self,
-        target: usize,
-        picture: &Picture<'_>,
-        predicted: &Isometry3<f64>,
-    ) -> Option<Alignment> {
-        reacquire(self.prints.get(target)?, picture, predicted, &self.options)
-    }
-
-    /// Also searches around a prediction, of a confirmed track or not, unless a precise pose is
-    /// chosen.
-    pub(crate) fn or_round(
-        &self,
-        decision: Decision,
-        target: usize,
-        picture: &Picture<'_>,
-        predicted: &PoseEstimate,
-        is_confirmed: bool,
-        tried: &mut Vec<Hypothesis>,
-    ) -> Decision {
-        if decide::is_precise(&decision, tried) {
-            return decision;
-        }
-        let found = self.reacquire(target, picture, &predicted.camera_from_markers);
-        let (source, found) = (StartSource::Search, found.ok_or(AlignError::Nothing));
-        tried.push(match is_confirmed {
-            true => self.predicted(target, source, found, predicted),
-            false => self.competing(target, source, found),
-        });
-        let decision = decide::with_search(decision, tried, predicted, is_confirmed);
-        match is_confirmed {
-            true => self.or_mirror(decision, target, picture, predicted, tried),
-            false => decision,
-        }
     }
 
     /// Searches for body `target` in any attitude at a place.

@@ -5,15 +5,13 @@
 //! Explain compares with the limits alone, to name the one that a refused pose missed.
 //!
 //! The limits are formulas of `acceptance.rs` in imaging, and within fusion only this module uses
-//! them. They stay there because alignment needs two of them. The least lead is one of geometry,
-//! because the filter needs it too. Its search round a prediction ends at
-//! the first accepted pose. Each alignment states whether it is precise before the factor of the
-//! picture's coding.
+//! them. The least lead is one of geometry, because the filter needs it too. Each alignment states
+//! whether it is precise before the factor of the picture's coding.
 //!
 //! | module | what it decides |
 //! | --- | --- |
 //! | this one | which hypothesis is the body's pose |
-//! | [`markers`] | whether decoded markers support or contradict a pose |
+//! | [`markers`] | whether decoded markers contradict a pose |
 //! | [`rivals`] | which poses compete with one |
 //! | [`outcome`] | the outcome of a measured pose: publication, a correction of the track, or nothing |
 
@@ -91,8 +89,6 @@ pub enum Verdict {
     OutsideGate,
     /// Nothing could be compared.
     NotAligned,
-    /// The search found no acceptable pose.
-    NothingFound,
 }
 
 impl Decision {
@@ -310,39 +306,9 @@ pub(crate) fn of_untracked(tried: &[Hypothesis], likeliest: Option<usize>) -> De
     decision
 }
 
-/// Whether no search around the prediction is needed, because a precise pose is chosen.
-pub(crate) fn is_precise(decision: &Decision, tried: &[Hypothesis]) -> bool {
+/// Whether a precise pose is chosen.
+fn is_precise(decision: &Decision, tried: &[Hypothesis]) -> bool {
     decision.chosen_of(tried).is_some_and(|found| found.is_precise)
-}
-
-/// Decides again if the last hypothesis is the result of a search around the prediction. The
-/// likelier one of that and the previous choice is chosen.
-pub(crate) fn with_search(
-    mut decision: Decision,
-    tried: &[Hypothesis],
-    predicted: &PoseEstimate,
-    is_confirmed: bool,
-) -> Decision {
-    let Some((last, searched)) = tried.iter().enumerate().next_back() else { return decision };
-    let Some(searched) = searched.alignment() else {
-        decision.reasons.push(Verdict::NothingFound);
-        return decision;
-    };
-    decision.reasons.push(Verdict::LessLikely);
-    let likelihood = |found: &Alignment| {
-        found.evidence.log_odds + turn_log(&found.camera_from_markers, predicted)
-    };
-    let before = decision.hypothesis().zip(decision.chosen_of(tried));
-    match before {
-        Some((_, before)) if likelihood(before) > likelihood(searched) => return decision,
-        Some((index, _)) => decision.give_reason(index, Verdict::LessLikely),
-        None => {}
-    }
-    match is_confirmed {
-        true => decision.choose_tracked(tried, last),
-        false => decision.choose_among(tried, last, |_| true),
-    }
-    decision
 }
 
 /// Whether a pose from corners is acceptable as a measurement: if enough markers fit and its
@@ -443,14 +409,4 @@ pub(crate) fn measurement(
             })
         }
     }
-}
-
-/// Whether a chosen pose is independent of a track's prediction, so that it may start a track.
-pub(crate) fn is_independent(
-    decision: &Decision,
-    tried: &[Hypothesis],
-    is_confirmed: bool,
-) -> bool {
-    let chosen = decision.hypothesis().and_then(|index| tried.get(index));
-    !is_confirmed && chosen.is_some_and(|hypothesis| hypothesis.source != StartSource::Search)
 }

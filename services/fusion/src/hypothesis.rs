@@ -30,8 +30,6 @@ pub enum StartSource {
     DirectPass,
     /// The mirror pose of another hypothesis.
     Mirror,
-    /// The search around the prediction.
-    Search,
     /// The search in all attitudes at a place that looks like a body.
     Place,
 }

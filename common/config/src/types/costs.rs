@@ -44,7 +44,7 @@ impl Default for Costs {
             direct_pass_ms: 3.5,
             corner_pass_ms: 4.0,
             initiation_ms: 8.0,
-            background_pass_ms: 45.0,
+            background_pass_ms: 8.0,
         }
     }
 }

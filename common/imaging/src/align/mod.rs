@@ -23,7 +23,6 @@
 //! | `covariance` | how precise the pose is |
 //! | `evidence` | how well the cells match the image |
 //! | `acceptance` | whether that is enough: all decisions and their limits |
-//! | `reacquire` | where to start when the body is not where it was predicted |
 //! | `depiction` | the body's pixels beside those of its model, for people |
 //!
 //! Each module uses only modules above it in this order: pinhole, print, evidence and alignment
@@ -42,7 +41,6 @@ mod occlusion;
 mod patch;
 mod pinhole;
 mod print;
-mod reacquire;
 mod robust;
 mod samples;
 mod solve;
@@ -68,10 +66,6 @@ use samples::Sample;
 use solve::BodyFit;
 use state::{PosePrior, Prior, State};
 
-/// Largest angle between a body and its prediction for [`reacquire`], radians.
-pub const REACQUIRE_RADIUS_RAD: f64 = 0.014;
-/// Extra blur of that search, in cells of the smallest marker.
-const REACQUIRE_BLUR_CELLS: f64 = 0.6;
 /// The patch shows this much background beside the body, in standard deviations of blur.
 const PATCH_MARGIN_BLURS: f64 = 4.0;
 /// Time of the path that gives the direction of the motion, seconds.
@@ -109,38 +103,6 @@ pub fn align(
     let view = PreparedView::new(print, picture, start, options, 0.0)?;
     let start = view.state(print, start);
     view.align(print, start, options)
-}
-
-/// Finds `print` within [`REACQUIRE_RADIUS_RAD`] of its `predicted` pose (`camera_from_markers`),
-/// turned by up to about ten degrees.
-///
-/// It is the most expensive search, for a body that no other search found. `None` unless the result
-/// is accepted.
-pub fn reacquire(
-    print: &BodyPrint,
-    picture: &Picture<'_>,
-    predicted: &Isometry3<f64>,
-    options: &AlignOptions,
-) -> Option<Alignment> {
-    let view = PreparedView::new(print, picture, predicted, options, REACQUIRE_RADIUS_RAD).ok()?;
-    let state = view.state(print, predicted);
-    let extra_blur_px = REACQUIRE_BLUR_CELLS * view.cell_px(print, predicted);
-    if !extra_blur_px.is_finite() {
-        return None;
-    }
-    let reach_px = REACQUIRE_RADIUS_RAD * view.patch.pinhole.focal_px;
-    let blurred = view.patch.blurred(extra_blur_px);
-    let candidates = reacquire::candidates(&blurred, print, &state, reach_px);
-    let options = AlignOptions { coarse_first: true, ..*options };
-    candidates
-        .into_iter()
-        .filter_map(|patch_from_markers| {
-            let start = State { patch_from_markers, ..state.clone() };
-            view.align(print, start, &options)
-                .ok()
-                .filter(|found| found.is_accepted() && found.is_precise)
-        })
-        .max_by(|a, b| a.evidence.log_odds.total_cmp(&b.evidence.log_odds))
 }
 
 /// Start poses (`camera_from_markers`) for alignment of `print` at a `place`, in any attitude: the

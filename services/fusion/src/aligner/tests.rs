@@ -421,36 +421,3 @@ fn the_likeliest_pose_counts_and_not_the_most_precise_one() {
     assert_eq!(chosen(&[&precise, &likely]), Some(6.0));
     assert_eq!(chosen(&[&likely, &precise]), Some(6.0));
 }
-
-#[test]
-fn a_search_round_the_prediction_counts_if_it_finds_something_likelier() {
-    let truth = pose(1.2, 0.4);
-    with_picture(&truth, |aligner, picture| {
-        let or_round = |found: Option<&Alignment>| {
-            let first =
-                found.map(|found| Hypothesis::of(StartSource::Prediction, Ok(found.clone())));
-            let mut tried: Vec<Hypothesis> = first.into_iter().collect();
-            let before = match found {
-                None => Decision::default(),
-                Some(_) => Decision {
-                    chosen: Some(PoseIndex::Hypothesis(0)),
-                    reasons: vec![Verdict::Accepted],
-                    ..Decision::default()
-                },
-            };
-            let predicted = known_at(&truth);
-            let decision = aligner.or_round(before, 0, picture, &predicted, true, &mut tried);
-            let log_odds = decision.chosen_of(&tried).unwrap().evidence.log_odds;
-            (log_odds, decision.reasons)
-        };
-        let (searched, reasons) = or_round(None);
-        assert!(searched > 6.0 && reasons == [Verdict::Accepted], "{searched}, {reasons:?}");
-        let imprecise = |log_odds| led_to(&truth, 0.02, log_odds, 0.03);
-        let (less_likely, accepted) = (Verdict::LessLikely, Verdict::Accepted);
-        assert_eq!(or_round(Some(&imprecise(2.0))), (searched, vec![less_likely, accepted]));
-        let likelier = searched + 5.0;
-        assert_eq!(or_round(Some(&imprecise(likelier))), (likelier, vec![accepted, less_likely]));
-        let precise = led_to(&truth, 0.02, 2.0, 0.01);
-        assert_eq!(or_round(Some(&precise)), (2.0, vec![accepted]), "nothing else is looked for");
-    });
-}

@@ -427,7 +427,7 @@ fn answered_in_background(schedule: Schedule) -> (Core<Vec<u8>>, Box<Trial>) {
     let mut answer = job.unwrap().run(&aligner(&bodies.unwrap()));
     assert!(answer.measurement().is_none(), "the picture is grey");
     answer.hypotheses =
-        vec![Hypothesis::of(StartSource::Search, Ok(alignment(pose(0.9), 9.0, 1e-3)))];
+        vec![Hypothesis::of(StartSource::RoughPrediction, Ok(alignment(pose(0.9), 9.0, 1e-3)))];
     answer.decision = Decision { chosen: Some(PoseIndex::Hypothesis(0)), ..Decision::default() };
     (core, answer)
 }

@@ -1,8 +1,7 @@
 //! The background pass, which takes several times as long as the other passes.
 //!
-//! A target that is not at its predicted place may be found from rougher starts, or by a search
-//! around the prediction. On two busy processors starts take 20 to 70 ms and the search 60 to 150.
-//! Other poses should not wait for that. So these passes run beside the others, one at a time. A
+//! A target that is not at its predicted place may be found from rougher starts. On two busy
+//! processors they take 20 to 70 ms. Other poses should not wait for that. So these passes run beside the others, one at a time. A
 //! request is refused while another runs, because a newer frame will repeat it.
 
 use flockeye_contract::FrameOrder;
@@ -112,8 +111,6 @@ pub struct Job {
     starts: Vec<(StartSource, Start)>,
     /// The prediction of a confirmed track.
     confirmed: Option<PoseEstimate>,
-    /// The prediction to search around if no start leads to the body.
-    search_round: Option<PoseEstimate>,
 }
 
 /// A view with its pixels.
@@ -152,14 +149,12 @@ impl CopiedView {
 impl Job {
     /// `None` where there is no view.
     fn new(inputs: &PassInputs<'_>) -> Option<Self> {
-        let predicted = inputs.prior.predicted().copied();
         Some(Self {
             target: inputs.target,
             trial: Box::new(Trial { pass: Pass::Background, ..inputs.trial.clone() }),
             view: CopiedView::of(inputs.best_view.as_ref()?),
             starts: inputs.background_starts(),
             confirmed: inputs.prior.confirmed().copied(),
-            search_round: predicted.filter(|_| inputs.may_search),
         })
     }
 
@@ -170,8 +165,7 @@ impl Job {
         let decision = picture.as_ref().map(|picture| {
             let (target, starts, budget) = (self.target, &self.starts, TimeBudget::OneFrame);
             let sought = Sought { target, picture, starts, budget };
-            let (confirmed, round) = (self.confirmed.as_ref(), self.search_round.as_ref());
-            aligner.find(&sought, confirmed, round, &mut tried)
+            aligner.find(&sought, self.confirmed.as_ref(), &mut tried)
         });
         let decision = decision.unwrap_or_default();
         (self.trial.decision, self.trial.hypotheses) = (decision, tried);

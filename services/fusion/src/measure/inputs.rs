@@ -1,7 +1,7 @@
 //! Inputs for the measurement of one target in a frame, collected once.
 
 use flockeye_geometry::body::Body;
-use flockeye_geometry::pose::{CornerRay, PoseEstimate, PoseSolution, choose, lead, solve};
+use flockeye_geometry::pose::{CornerRay, PoseSolution, choose, lead, solve};
 use nalgebra::Isometry3;
 
 use crate::account::{Pass, Trial};
@@ -29,8 +29,6 @@ pub(crate) struct PassInputs<'f> {
     pub(crate) best_view: Option<BestView<'f>>,
     /// The trial that begins: the kind of pass, and its thoroughness.
     pub(crate) trial: Trial,
-    /// Whether the target may be searched for around its prediction if nothing else finds it.
-    pub(crate) may_search: bool,
     /// The target's part in the frame, with the results of earlier passes. `None` where that does
     /// not count.
     pub(crate) part: Option<&'f Part>,
@@ -75,12 +73,6 @@ impl PassInputs<'_> {
         Trial { corner_poses, hypotheses, decision, ..self.trial.clone() }
     }
 
-    /// The prediction to search around, unless that is left to the background pass.
-    fn search_round(&self) -> Option<&PoseEstimate> {
-        let may_search = self.may_search && !self.trial.is_deferred;
-        self.prior.predicted().filter(|_| may_search)
-    }
-
     /// Compares the body with the picture, but not again from a failed start. `corners` are the
     /// solutions from the decoded markers, the best first.
     fn compare(
@@ -100,7 +92,7 @@ impl PassInputs<'_> {
         let sought =
             Sought { target: self.target, picture: &view.picture, starts: &starts, budget };
         let confirmed = self.prior.confirmed();
-        let decision = aligner.find(&sought, confirmed, self.search_round(), tried);
+        let decision = aligner.find(&sought, confirmed, tried);
         // A direct pass accepts only a certain pose: others wait for markers. The decision above
         // also accepts a supported one.
         match pass {
@@ -135,10 +127,7 @@ impl PassInputs<'_> {
                     starts.extend(predicted.clone().map(|pose| (source, Start::Rough(pose))));
                 }
                 // These follow from other starts, or the aligner adds them itself.
-                StartSource::DirectPass
-                | StartSource::Mirror
-                | StartSource::Search
-                | StartSource::Place => {}
+                StartSource::DirectPass | StartSource::Mirror | StartSource::Place => {}
             }
         }
         starts
@@ -194,7 +183,6 @@ mod tests {
             target: 0,
             body,
             trial: Trial { decoded: marker_ids(&decoded), ..begun },
-            may_search: false,
             decoded,
             rays_m: f64::INFINITY,
             prior,

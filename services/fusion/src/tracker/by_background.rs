@@ -5,7 +5,6 @@ use flockeye_geometry::filter::HISTORY_S;
 
 use super::{Tracker, Update};
 use crate::account::Trial;
-use crate::decide::is_independent;
 use crate::decide::outcome::Outcome;
 use crate::frame::parts::Part;
 use crate::measure::FrameTime;
@@ -59,10 +58,9 @@ impl Tracker {
     ) -> (Option<Update>, Outcome) {
         let is_late = part.is_none();
         // A pose from the prior of a track that is lost since then is meaningless.
-        let may_begin_track =
-            is_independent(&trial.decision, &trial.hypotheses, trial.is_confirmed)
-                && !self.targets[target].is_tracked()
-                && self.is_within_history(time);
+        let may_begin_track = (!trial.is_confirmed && trial.decision.hypothesis().is_some())
+            && !self.targets[target].is_tracked()
+            && self.is_within_history(time);
         if is_late && may_begin_track {
             // Later frames did not show it only because it was not searched for there.
             self.targets[target].forget();

@@ -10,8 +10,7 @@ use crate::measure::inputs::PassInputs;
 use crate::measure::{AnsweredView, BestViews, FrameTime};
 use crate::measurement::{PoseMeasurement, decoded_rays, marker_ids};
 use crate::parallel;
-use crate::policy::{TimeBudget, is_search_turn};
-use crate::track_prior::TrackPrior;
+use crate::policy::TimeBudget;
 
 impl Tracker {
     /// Measures targets, each from some of a frame's records and its best view, and updates their
@@ -100,30 +99,12 @@ impl Tracker {
     ) -> Trial {
         let prior = self.prior(target, time.at_s);
         let is_open = prior.confirmed().is_some() && part.is_region_tried;
-        // Rough starts and the search need a prediction.
+        // Rough starts need a prediction.
         let is_deferred = budget != TimeBudget::Unlimited
             && has_background
             && prior.predicted().is_some()
             && (is_open || self.tracks_others(target));
         Trial { is_deferred, ..Trial::of(pass, &prior, budget) }
-    }
-
-    /// Whether a corner pass, or the background pass that it requests, may search around the
-    /// prediction of its target.
-    pub(super) fn may_search(
-        &self,
-        time: FrameTime,
-        target: usize,
-        prior: &TrackPrior,
-        begun: &Trial,
-    ) -> bool {
-        // A tentative track ends after a few frames.
-        let is_urgent = matches!(prior, TrackPrior::Tentative { .. });
-        // A pose that is found round one of two predictions says nothing about the other one.
-        prior.rival().is_none()
-            && (is_urgent || is_search_turn(time.number, target, self.targets.len()))
-            && begun.budget != TimeBudget::Overspent
-            && (begun.pass == Pass::Complete || begun.is_deferred)
     }
 
     /// Collects the inputs for a target, or returns the reason why there are none.
@@ -160,23 +141,12 @@ impl Tracker {
         if decoded.is_empty() && !(is_tracked && best_view.is_some()) {
             return Err(if is_tracked { NotRun::NoView } else { NotRun::NothingKnown });
         }
-        let may_search = self.may_search(time, target, &prior, &begun);
         let trial = Trial {
             view_index: best_view.map(|best| best.view_index),
             decoded: marker_ids(&decoded),
             ..begun
         };
-        Ok(PassInputs {
-            target,
-            body,
-            decoded,
-            rays_m,
-            prior,
-            best_view,
-            trial,
-            may_search,
-            part: Some(part),
-        })
+        Ok(PassInputs { target, body, decoded, rays_m, prior, best_view, trial, part: Some(part) })
     }
 
     /// Whether any other target is tracked.

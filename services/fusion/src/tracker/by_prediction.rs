@@ -120,7 +120,6 @@ impl Tracker {
             prior,
             best_view: Some(view),
             trial: Trial { view_index: Some(view.view_index), ..begun },
-            may_search: false,
             part: None,
         })
     }

@@ -9,7 +9,7 @@ use super::*;
 use crate::aligner::BestView;
 use crate::fixtures::*;
 use crate::frame::parts::parts_of;
-use crate::policy::{SUSPENDED_FRAMES, is_search_turn};
+use crate::policy::SUSPENDED_FRAMES;
 use crate::record::Record;
 use flockeye_contract::MeasuredBy;
 use flockeye_geometry::filter::TrackState;
@@ -233,18 +233,9 @@ fn the_start_of_a_rejected_direct_pass_is_not_aligned_again() {
 }
 
 #[test]
-fn a_frame_without_time_is_not_searched_round_predictions() {
+fn markers_measure_a_frame_without_time() {
     let truth = pose(0.9);
     let mut tracker = following(&truth);
-    let mut may_search = |budget| {
-        let ((tracker, parts), pass) = (tracker.at(3), Pass::Complete);
-        let (part, prior) = (parts.first().unwrap(), tracker.prior(0, at_s(3)));
-        let begun = tracker.begin_trial(time(3), 0, part, pass, budget, true);
-        tracker.may_search(time(3), 0, &prior, &begun)
-    };
-    assert!(may_search(TimeBudget::OneFrame), "frame 3 is one of those that search");
-    assert!(!may_search(TimeBudget::Overspent));
-    // Its markers tell its pose all the same.
     let record = record(3, &truth);
     let (answered, views) = ([of_region(&record)], BestViews::new());
     let (tracker, parts) = tracker.at(3);

@@ -147,7 +147,6 @@ pub(super) fn decided(hypothesis: &Hypothesis, verdict: Verdict) -> String {
             Err(error) => error.to_string(),
             Ok(_) => "nothing could be compared".to_owned(),
         },
-        Verdict::NothingFound => "the search round the prediction found nothing".to_owned(),
     }
 }
 
@@ -199,7 +198,6 @@ fn source_of(source: StartSource) -> &'static str {
         StartSource::RoughPrediction => "prediction, coarse first",
         StartSource::DirectPass => "prediction, as the direct pass found it",
         StartSource::Mirror => "mirror pose of the likeliest",
-        StartSource::Search => "search round the prediction",
         StartSource::Place => "all attitudes at the place",
     }
 }
@@ -214,7 +212,6 @@ fn verdict_of(verdict: Verdict) -> &'static str {
         Verdict::Rival => "rival",
         Verdict::OutsideGate => "outside_gate",
         Verdict::NotAligned => "not_aligned",
-        Verdict::NothingFound => "nothing_found",
     }
 }
 

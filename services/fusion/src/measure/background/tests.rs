@@ -32,7 +32,6 @@ fn with_requests(
             prior,
             best_view: Some(view),
             trial: Trial { is_deferred: true, ..begun },
-            may_search: false,
             part: None,
         };
         slot.request(TIME, &inputs)

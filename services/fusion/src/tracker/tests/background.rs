@@ -50,34 +50,18 @@ fn assert_tracked_at(tracker: &Tracker, truth: &Isometry3<f64>, at_s: f64) {
 #[test]
 fn the_background_pass_finds_what_a_fine_start_misses() {
     let truth = pose(0.9);
-    // The nearer one from a rough start, the other by the search, whose turn it is.
-    for off_m in [OFF_M, 2.0 * OFF_M] {
-        with_view(&truth, |view| {
-            let mut tracker = misled(&truth, off_m);
-            assert!(is_search_turn(time(3).number, 0, 1));
-            let updates = region_pass(&mut tracker, time(3), view, BUDGET);
-            assert!(updates.is_empty(), "a fine start does not converge");
-            assert_eq!(tracker.awaited(), Some(stamp(3).order()));
-            let (target, estimate) = run(&mut tracker).expect("it is there");
-            let (measured, by) = estimate.measured.expect("it is inside the gate");
-            assert_eq!((target, by), (0, MeasuredBy::Aligned));
-            let error_m = error_m(&measured.camera_from_markers, &truth);
-            assert!(error_m < 2e-3, "{off_m} m: {error_m} m");
-            assert_eq!(tracker.awaited(), None);
-            assert!(end(&mut tracker, 3).is_empty(), "its pose has left already");
-        });
-    }
-}
-
-#[test]
-fn a_target_so_far_off_is_found_only_by_the_search() {
-    let truth = pose(0.9);
     with_view(&truth, |view| {
-        let mut tracker = misled(&truth, 2.0 * OFF_M);
-        end(&mut tracker, 3);
-        region_pass(&mut tracker, time(4), view, BUDGET);
-        assert_eq!(tracker.awaited(), Some(stamp(4).order()));
-        assert!(run(&mut tracker).is_none());
+        let mut tracker = misled(&truth, OFF_M);
+        let updates = region_pass(&mut tracker, time(3), view, BUDGET);
+        assert!(updates.is_empty(), "a fine start does not converge");
+        assert_eq!(tracker.awaited(), Some(stamp(3).order()));
+        let (target, estimate) = run(&mut tracker).expect("it is there");
+        let (measured, by) = estimate.measured.expect("it is inside the gate");
+        assert_eq!((target, by), (0, MeasuredBy::Aligned));
+        let error_m = error_m(&measured.camera_from_markers, &truth);
+        assert!(error_m < 2e-3, "{error_m} m");
+        assert_eq!(tracker.awaited(), None);
+        assert!(end(&mut tracker, 3).is_empty(), "its pose has left already");
     });
 }
 
