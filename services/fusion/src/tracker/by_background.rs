@@ -58,7 +58,8 @@ impl Tracker {
     ) -> (Option<Update>, Outcome) {
         let is_late = part.is_none();
         // A pose from the prior of a track that is lost since then is meaningless.
-        let may_begin_track = (!trial.is_confirmed && trial.decision.hypothesis().is_some())
+        let may_begin_track = !trial.is_confirmed
+            && trial.decision.hypothesis().is_some()
             && !self.targets[target].is_tracked()
             && self.is_within_history(time);
         if is_late && may_begin_track {
