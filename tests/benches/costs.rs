@@ -193,6 +193,7 @@ fn region(
             let sought = Sought { target: 0, picture, starts: &from_corners(), budget };
             aligner.initiate(&sought, &mut Vec::new())
         });
+        // With a confirmed track. Without one it has the starts of an initiation, too.
         timed(&mut costs.background_pass, 1.0, || {
             let starts = [(StartSource::RoughPrediction, Start::Rough(predicted))];
             let sought = Sought { target: 0, picture, starts: &starts, budget };

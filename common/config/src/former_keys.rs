@@ -76,6 +76,9 @@ const FIXED: [(&str, &str, &str); 23] = [
     ("recording.split_mb", "1000", "flockeye record --split takes another size"),
 ];
 
+/// Defaults of the last release that differ from the constants. Its recordings have them.
+const FORMER_DEFAULTS: [(&str, &str); 1] = [("search.costs.background_pass_ms", "45.0")];
+
 /// Whether a setting `key.path=value` selects how the pipeline runs, by the present key or a former
 /// one.
 pub fn says_how_it_runs(setting: &str) -> bool {
@@ -134,7 +137,8 @@ fn rewritten(document: &mut Node, notices: &mut Vec<String>) {
     }
 }
 
-/// Removes keys that are constants now, and refuses other values than the constants.
+/// Removes keys that are constants now, and refuses values that are neither the constant nor the
+/// default of the last release.
 fn fixed(document: &mut Node, problems: &mut Vec<Problem>, notices: &mut Vec<String>) {
     for (path, value, why) in FIXED {
         let Some(node) = document.take(path) else { continue };
@@ -142,7 +146,10 @@ fn fixed(document: &mut Node, problems: &mut Vec<Problem>, notices: &mut Vec<Str
         if found.is_null() {
             continue;
         }
-        let is_same = serde_json::from_str(value).is_ok_and(|value| is_equal(&found, &value));
+        let is_value =
+            |value: &str| serde_json::from_str(value).is_ok_and(|value| is_equal(&found, &value));
+        let is_former = |(key, former): &(&str, &str)| *key == path && is_value(former);
+        let is_same = is_value(value) || FORMER_DEFAULTS.iter().any(is_former);
         if is_same {
             notices.push(format!("{origin}: {path} is fixed at {value} now: leave it out; the next release refuses it"));
             continue;

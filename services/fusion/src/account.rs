@@ -36,7 +36,7 @@ pub enum Pass {
     Region,
     /// The corner pass over the whole complete frame.
     Complete,
-    /// Starts from rough starts.
+    /// Alignment from rough starts, beside the other passes.
     Background,
     /// Searches in any attitude, at a place that looks like a body.
     Place,
@@ -66,7 +66,7 @@ pub struct Trial {
     pub view_index: Option<u32>,
     /// Its time budget.
     pub budget: TimeBudget,
-    /// Whether rough starts and the search were left to the background pass.
+    /// Whether rough starts were left to the background pass.
     pub is_deferred: bool,
     /// The track's prediction, `camera_from_markers`.
     pub predicted: Option<Isometry3<f64>>,

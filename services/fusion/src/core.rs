@@ -393,8 +393,8 @@ impl<P: AsRef<[u8]>> Core<P> {
     }
 }
 
-fn time_of(planning: &Planning, stamp: &FrameStamp) -> FrameTime {
-    FrameTime { order: stamp.order(), at_s: stamp.exposure_s(), number: planning.frames }
+fn time_of(stamp: &FrameStamp) -> FrameTime {
+    FrameTime { order: stamp.order(), at_s: stamp.exposure_s() }
 }
 
 #[cfg(test)]

@@ -121,7 +121,7 @@ impl Decision {
 
     /// Chooses a hypothesis beside a confirmed track. An imprecise one is no measurement, and only
     /// corrects the track. A precise one must lead over its mirror pose and over other poses that
-    /// the prediction or facets support.
+    /// the prediction or several facets support.
     fn choose_tracked(&mut self, tried: &[Hypothesis], best: usize) {
         if tried.get(best).is_none_or(|best| !has_precise_pose(best)) {
             return self.choose(best);
@@ -245,7 +245,8 @@ pub(crate) fn of_direct_pass(tried: &[Hypothesis]) -> Decision {
 }
 
 /// Decides about poses of a body that a confirmed track predicts. The certain one is chosen.
-/// Otherwise it is the likeliest that the prediction or several facets support, precise or not. Either must lead over its rivals.
+/// Otherwise it is the likeliest that the prediction or several facets support, precise or not. A
+/// precise one must lead over its rivals.
 pub fn of_tracked(tried: &[Hypothesis]) -> Decision {
     let mut decision = Decision::nothing(tried);
     let mut best: Option<(f64, usize)> = None;

@@ -9,7 +9,7 @@
 //! | direct | the prediction alone | a confirmed track | when a region of interest has been cut |
 //! | region | markers, the prediction | two markers, where no picture decides | when that region has been searched |
 //! | complete | those of all views | two markers, or one with a confirmed track | when the frame is complete |
-//! | background | the markers of a track that is not confirmed, the rough prediction | a track, and a picture | beside the others: it takes several times as long |
+//! | background | the markers of a track that is not confirmed, the rough prediction | a track, and a picture | beside the others, so that no other pose waits |
 //! | place | nothing, in any attitude | no track | when a single image is complete |
 
 pub(crate) mod background;
@@ -55,8 +55,6 @@ pub(crate) struct FrameTime {
     pub(crate) order: FrameOrder,
     /// Its exposure, seconds.
     pub(crate) at_s: f64,
-    /// Number of frames that had ended before.
-    pub(crate) number: u64,
 }
 
 /// The best view of each target in a frame, by the target's number.

@@ -19,7 +19,7 @@ impl<P: AsRef<[u8]>> Core<P> {
         let taken = self.frames.take_regions(order, self.tracker.threads.max(1));
         let Some(frame) = self.frames.get_mut(order) else { return };
         let stamp = frame.stamp;
-        let time = time_of(&self.planning, &stamp);
+        let time = time_of(&stamp);
         let (reader, tracker) = (&mut self.reader, &mut self.tracker);
         let found = frame.with_parts(|frame, parts| {
             let regions: Vec<(usize, BestView<'_>)> = reader.regions(&frame.held, &taken);
@@ -53,7 +53,7 @@ impl<P: AsRef<[u8]>> Core<P> {
         outputs: &mut Outputs,
     ) {
         let Some(stamp) = self.frames.get(order).map(|frame| frame.stamp) else { return };
-        let (time, budget) = (time_of(&self.planning, &stamp), self.budget(&stamp));
+        let (time, budget) = (time_of(&stamp), self.budget(&stamp));
         let Some(frame) = self.frames.get_mut(order) else { return };
         let (reader, tracker) = (&mut self.reader, &mut self.tracker);
         let notices = &mut outputs.notices;
@@ -92,7 +92,7 @@ impl<P: AsRef<[u8]>> Core<P> {
         let Some(frame) = self.frames.get_mut(order) else { return false };
         let untracked = self.tracker.untracked(&frame.parts);
         let Some(target) = frame.places.next_target(untracked) else { return false };
-        let time = time_of(&self.planning, &frame.stamp);
+        let time = time_of(&frame.stamp);
         let (reader, tracker) = (&mut self.reader, &mut self.tracker);
         let update = frame.with_parts(|frame, parts| {
             tracker.place_pass(time, parts, target, &reader.places(frame.places.next()))

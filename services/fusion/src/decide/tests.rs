@@ -59,6 +59,10 @@ fn of_poses_that_a_track_supports_the_likeliest_counts() {
     // What is certain ends the search, even if something likelier was found before.
     let certain = [predicted(0.0, 9.0, false), predicted(0.0, 8.0, true)];
     assert_eq!(of_tracked(&certain).chosen, Some(PoseIndex::Hypothesis(1)));
+    // The prediction makes up for a weak picture, unless it speaks against the pose.
+    let weak = |turn_log| Hypothesis { turn_log: Some(turn_log), ..tried(0.0, 6.0, true) };
+    assert!(of_tracked(&[weak(0.0)]).chosen.is_some());
+    assert!(of_tracked(&[weak(-3.0)]).chosen.is_none());
 }
 
 #[test]

@@ -1,8 +1,8 @@
-//! The background pass, which takes several times as long as the other passes.
+//! The background pass: rough starts, beside the other passes.
 //!
-//! A target that is not at its predicted place may be found from rougher starts. On two busy
-//! processors they take 20 to 70 ms. Other poses should not wait for that. So these passes run beside the others, one at a time. A
-//! request is refused while another runs, because a newer frame will repeat it.
+//! A target that is not at its predicted place may be found from rougher starts. Other poses should
+//! not wait for them. So these passes run beside the others, one at a time. A request is refused
+//! while another runs, because a newer frame will repeat it.
 
 use flockeye_contract::FrameOrder;
 use std::collections::BTreeSet;

@@ -86,7 +86,7 @@ impl Tracker {
         updates
     }
 
-    /// Begins a corner pass over a target. Long searches are left to the background pass if others
+    /// Begins a corner pass over a target. Rough starts are left to the background pass if others
     /// wait: a tracked target's frame is still open, or another target is tracked.
     pub(super) fn begin_trial(
         &self,

@@ -75,7 +75,7 @@ impl DerefMut for Tracking {
 }
 
 fn time(sequence: u64) -> FrameTime {
-    FrameTime { order: stamp(sequence).order(), at_s: at_s(sequence), number: sequence }
+    FrameTime { order: stamp(sequence).order(), at_s: at_s(sequence) }
 }
 
 /// A record of alpha's region of interest.

@@ -193,7 +193,7 @@ pub(super) struct PassFacts {
     pub view_index: Option<u32>,
     /// Whether the pass had time for only one starting pose.
     pub is_late: bool,
-    /// Whether rough starts and the search were left to the background pass.
+    /// Whether rough starts were left to the background pass.
     pub is_deferred: bool,
     /// Ids of decoded markers.
     pub decoded: Vec<u32>,

@@ -88,7 +88,9 @@ fn configurations_of_recordings_are_read_whatever_release_wrote_them() {
 fn keys_that_are_constants_now_are_read_with_their_values_and_refused_with_others() {
     let yaml = "\
         partition: {count: auto, weights: [0.2, 0.02, 0.78], seed: 1, margin_deg:, magnification:}\n\
-        search: {lossless_partitions: 4, costs: {processors: 1.3, source_ms: 20, egomotion_ms: 2.2}}\n\
+        search: {lossless_partitions: 4, costs: {processors: 1.3, source_ms: 20, egomotion_ms: 2.2, \
+        proposals_ms: 4.5, cut_ms_per_megapixel: 2.5, window_ms_per_megapixel: 4, direct_pass_ms: 3.5, \
+        corner_pass_ms: 4, initiation_ms: 8, background_pass_ms: 45}}\n\
         fusion: {confirm_hits: 2, confirm_window: 5, history_s: 0.5, gate_probability: 0.999}\n\
         simulator: {lens_blur_px: 0.8}\nrecording: {split_mb: 1000}";
     assert_eq!(parse(yaml).unwrap(), Pipeline::default());

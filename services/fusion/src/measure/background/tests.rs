@@ -39,7 +39,7 @@ fn with_requests(
     by(&mut BackgroundSlot::default(), &request);
 }
 
-const TIME: FrameTime = FrameTime { order: (0, 0, 0), at_s: 0.0, number: 0 };
+const TIME: FrameTime = FrameTime { order: (0, 0, 0), at_s: 0.0 };
 
 /// Ends what is under way without having found anything.
 fn finish(slot: &mut BackgroundSlot) {
