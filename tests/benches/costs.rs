@@ -175,6 +175,7 @@ fn region(
         Translation3::from(truth.translation.vector * 1.003),
         UnitQuaternion::from_euler_angles(0.005, 0.004, -0.006) * truth.rotation,
     );
+    let unknown = |_: &Isometry3<f64>| false;
     for _ in 0..rounds {
         timed(&mut costs.direct_pass, 1.0, || aligner.align(0, &picture, &Start::Fine(predicted)));
         let from_corners = || -> Vec<(StartSource, Start)> {
@@ -187,17 +188,17 @@ fn region(
             PoseEstimate { camera_from_markers: predicted, covariance: Matrix6::identity() * 1e-4 };
         timed(&mut costs.corner_pass, 1.0, || {
             let sought = Sought { target: 0, picture, starts: &from_corners(), budget };
-            aligner.confirm(&sought, &prior, &mut Vec::new())
+            aligner.confirm(&sought, &prior, unknown, &mut Vec::new())
         });
         timed(&mut costs.initiation, 1.0, || {
             let sought = Sought { target: 0, picture, starts: &from_corners(), budget };
-            aligner.initiate(&sought, &mut Vec::new())
+            aligner.initiate(&sought, unknown, &mut Vec::new())
         });
         // With a confirmed track. Without one it has the starts of an initiation, too.
         timed(&mut costs.background_pass, 1.0, || {
             let starts = [(StartSource::RoughPrediction, Start::Rough(predicted))];
             let sought = Sought { target: 0, picture, starts: &starts, budget };
-            aligner.confirm(&sought, &prior, &mut Vec::new())
+            aligner.confirm(&sought, &prior, unknown, &mut Vec::new())
         });
     }
 }

@@ -141,22 +141,25 @@ impl Aligner {
     pub(crate) fn find(
         &self,
         sought: &Sought<'_>,
+        is_marked: impl Fn(&Isometry3<f64>) -> bool,
         confirmed: Option<&PoseEstimate>,
         tried: &mut Vec<Hypothesis>,
     ) -> Decision {
         match confirmed {
-            Some(predicted) => self.confirm(sought, predicted, tried),
-            None => self.initiate(sought, tried),
+            Some(predicted) => self.confirm(sought, predicted, is_marked, tried),
+            None => self.initiate(sought, is_marked, tried),
         }
     }
 
     /// Confirms the pose of a body, which its track `predicted`. Aligns it from its starts until
-    /// one leads to a certain pose. With a spent budget, only the first start is tried. The
-    /// hypotheses are added to `tried`.
+    /// one leads to a certain pose. With a spent budget, only the first start is tried. `is_marked`
+    /// returns whether markers were decoded at the places of a pose. The hypotheses are added to
+    /// `tried`.
     pub fn confirm(
         &self,
         sought: &Sought<'_>,
         predicted: &PoseEstimate,
+        is_marked: impl Fn(&Isometry3<f64>) -> bool,
         tried: &mut Vec<Hypothesis>,
     ) -> Decision {
         let Sought { target, picture, starts, budget } = *sought;
@@ -165,7 +168,7 @@ impl Aligner {
             // The prediction would pull other starts away from the pose that they support.
             let guide = source.is_prediction().then_some(predicted);
             let found = self.try_align(target, picture, start, guide);
-            let hypothesis = self.predicted(target, *source, found, predicted);
+            let hypothesis = self.predicted(target, *source, found, predicted, &is_marked);
             let is_certain = decide::is_certain(&hypothesis);
             tried.push(hypothesis);
             if is_certain {
@@ -173,7 +176,7 @@ impl Aligner {
             }
         }
         let decision = decide::of_tracked(tried);
-        self.or_mirror(decision, target, picture, predicted, tried)
+        self.or_mirror(decision, target, picture, predicted, is_marked, tried)
     }
 
     /// Also tries the mirror pose of the chosen pose, unless that is imprecise, or several facets or
@@ -184,6 +187,7 @@ impl Aligner {
         target: usize,
         picture: &Picture<'_>,
         predicted: &PoseEstimate,
+        is_marked: impl Fn(&Isometry3<f64>) -> bool,
         tried: &mut Vec<Hypothesis>,
     ) -> Decision {
         let is_undecided =
@@ -194,7 +198,7 @@ impl Aligner {
             return decision;
         }
         let found = self.try_align(target, picture, &Start::Fine(mirror), None);
-        tried.push(self.predicted(target, StartSource::Mirror, found, predicted));
+        tried.push(self.predicted(target, StartSource::Mirror, found, predicted, is_marked));
         decide::with_mirror(decision, tried)
     }
 
@@ -205,10 +209,11 @@ impl Aligner {
         source: StartSource,
         found: Result<Alignment, AlignError>,
         predicted: &PoseEstimate,
+        is_marked: impl Fn(&Isometry3<f64>) -> bool,
     ) -> Hypothesis {
         let found_pose = found.as_ref().ok().map(|found| found.camera_from_markers);
         let turn_log = found_pose.map(|found| decide::turn_log(&found, predicted));
-        Hypothesis { turn_log, ..self.competing(target, source, found) }
+        Hypothesis { turn_log, ..self.competing(target, source, found, is_marked) }
     }
 
     /// Finds a body of which no track is confirmed from all of its starts. Hypotheses compete: the
@@ -217,11 +222,16 @@ impl Aligner {
     ///
     /// Every other pose waits for these starts. So with a limited budget the first accepted pose that
     /// several facets support ends the search.
-    pub fn initiate(&self, sought: &Sought<'_>, tried: &mut Vec<Hypothesis>) -> Decision {
+    pub fn initiate(
+        &self,
+        sought: &Sought<'_>,
+        is_marked: impl Fn(&Isometry3<f64>) -> bool,
+        tried: &mut Vec<Hypothesis>,
+    ) -> Decision {
         let Sought { target, picture, starts, budget } = *sought;
         for (source, start) in starts {
             let found = self.try_align(target, picture, start, None);
-            let hypothesis = self.competing(target, *source, found);
+            let hypothesis = self.competing(target, *source, found, &is_marked);
             let is_last = decide::ends_competition(&hypothesis, budget);
             tried.push(hypothesis);
             if is_last {
@@ -232,7 +242,7 @@ impl Aligner {
         let best = likeliest.and_then(|index| tried.get(index)?.alignment());
         if let Some(mirror) = best.and_then(|best| self.mirror_pose(target, best)) {
             let found = self.try_align(target, picture, &Start::Fine(mirror), None);
-            tried.push(self.competing(target, StartSource::Mirror, found));
+            tried.push(self.competing(target, StartSource::Mirror, found, &is_marked));
         }
         // The mirror pose may be the likelier one.
         decide::of_untracked(tried, decide::likeliest(tried))
@@ -244,10 +254,11 @@ impl Aligner {
         target: usize,
         source: StartSource,
         found: Result<Alignment, AlignError>,
+        is_marked: impl Fn(&Isometry3<f64>) -> bool,
     ) -> Hypothesis {
         let is_within_tilt = found.as_ref().ok().map(|found| self.is_within_tilt(target, found));
         let tilt_log = decide::tilt_log(is_within_tilt.flatten());
-        Hypothesis { tilt_log, ..Hypothesis::of(source, found) }
+        Hypothesis { tilt_log, ..Hypothesis::marked(source, found, is_marked) }
     }
 
     /// The mirror pose of a hypothesis, about its most informative facet.
@@ -284,7 +295,7 @@ impl Aligner {
             starts.into_iter().map(|start| (StartSource::Place, Start::Rough(start))).collect();
         // The first pose that several facets support is enough, because starts come best first.
         let sought = Sought { target, picture, starts: &starts, budget: TimeBudget::OneFrame };
-        self.initiate(&sought, tried)
+        self.initiate(&sought, |_| false, tried)
     }
 
     /// Aligns from a start. The pose may belong to no body.

@@ -11,7 +11,7 @@
 //! | module | what it decides |
 //! | --- | --- |
 //! | this one | which hypothesis is the body's pose |
-//! | [`markers`] | whether decoded markers contradict a pose |
+//! | [`markers`] | whether decoded markers support or contradict a pose |
 //! | [`rivals`] | which poses compete with one |
 //! | [`outcome`] | the outcome of a measured pose: publication, a correction of the track, or nothing |
 
@@ -121,7 +121,7 @@ impl Decision {
 
     /// Chooses a hypothesis beside a confirmed track. An imprecise one is no measurement, and only
     /// corrects the track. A precise one must lead over its mirror pose and over other poses that
-    /// the prediction or several facets support.
+    /// the prediction, markers or several facets support.
     fn choose_tracked(&mut self, tried: &[Hypothesis], best: usize) {
         if tried.get(best).is_none_or(|best| !has_precise_pose(best)) {
             return self.choose(best);
@@ -207,6 +207,15 @@ fn is_predicted(hypothesis: &Hypothesis) -> bool {
         .is_some_and(|(found, turn)| found.is_accepted_with_track_prior(turn))
 }
 
+/// Whether markers were decoded at the places of a pose that is too weak alone.
+fn is_marked(hypothesis: &Hypothesis) -> bool {
+    // The prediction may reject a marker's mirror pose. It does not replace missing evidence in the
+    // picture.
+    let prior_log_odds = hypothesis.turn_log.map_or(0.0, |turn| turn.min(0.0));
+    let found = hypothesis.alignment().filter(|_| hypothesis.is_marked);
+    found.is_some_and(|found| found.is_accepted_with_markers(prior_log_odds))
+}
+
 /// Whether the evidence in the picture alone is enough for a pose.
 fn is_accepted(hypothesis: &Hypothesis) -> bool {
     hypothesis.alignment().is_some_and(Alignment::is_accepted)
@@ -245,8 +254,8 @@ pub(crate) fn of_direct_pass(tried: &[Hypothesis]) -> Decision {
 }
 
 /// Decides about poses of a body that a confirmed track predicts. The certain one is chosen.
-/// Otherwise it is the likeliest that the prediction or several facets support, precise or not. A
-/// precise one must lead over its rivals.
+/// Otherwise it is the likeliest that the prediction, decoded markers or several facets support,
+/// precise or not. A precise one must lead over its rivals.
 pub fn of_tracked(tried: &[Hypothesis]) -> Decision {
     let mut decision = Decision::nothing(tried);
     let mut best: Option<(f64, usize)> = None;
@@ -267,15 +276,20 @@ pub fn of_tracked(tried: &[Hypothesis]) -> Decision {
     decision
 }
 
-/// Whether the prediction or several facets support a pose beside a track.
+/// Whether the prediction, decoded markers or several facets support a pose beside a track.
 fn is_supported_beside_track(hypothesis: &Hypothesis) -> bool {
     let is_alone_enough = hypothesis.alignment().is_some_and(is_proven);
-    is_predicted(hypothesis) || is_alone_enough
+    is_predicted(hypothesis) || is_marked(hypothesis) || is_alone_enough
 }
 
 /// Whether no other start is needed for an untracked body.
 pub(crate) fn ends_competition(last: &Hypothesis, budget: TimeBudget) -> bool {
     budget != TimeBudget::Unlimited && last.alignment().is_some_and(is_proven)
+}
+
+/// Whether a pose may be an untracked body's, apart from its precision.
+fn is_likely(hypothesis: &Hypothesis) -> bool {
+    is_accepted(hypothesis) || is_marked(hypothesis)
 }
 
 /// The hypotheses with a pose: their indices and log odds.
@@ -287,7 +301,7 @@ fn competitors(tried: &[Hypothesis]) -> impl Iterator<Item = (usize, f64)> {
 /// The likeliest precise pose of an untracked body, whose mirror pose must be tried too.
 pub(crate) fn likeliest(tried: &[Hypothesis]) -> Option<usize> {
     competitors(tried)
-        .filter(|(index, _)| has_precise_pose(&tried[*index]) && is_accepted(&tried[*index]))
+        .filter(|(index, _)| has_precise_pose(&tried[*index]) && is_likely(&tried[*index]))
         .max_by(|(_, one), (_, other)| one.total_cmp(other))
         .map(|(index, _)| index)
 }
@@ -296,7 +310,7 @@ pub(crate) fn likeliest(tried: &[Hypothesis]) -> Option<usize> {
 /// over its rivals.
 pub(crate) fn of_untracked(tried: &[Hypothesis], likeliest: Option<usize>) -> Decision {
     let mut decision = Decision::nothing(tried);
-    for (index, _) in competitors(tried).filter(|(index, _)| is_accepted(&tried[*index])) {
+    for (index, _) in competitors(tried).filter(|(index, _)| is_likely(&tried[*index])) {
         let is_precise = has_precise_pose(&tried[index]);
         let verdict = if is_precise { Verdict::LessLikely } else { Verdict::Imprecise };
         decision.give_reason(index, verdict);

@@ -2,6 +2,7 @@
 
 use flockeye_geometry::pose::PoseSolution;
 use flockeye_imaging::align::{AlignError, Alignment};
+use nalgebra::Isometry3;
 
 /// A pose that was compared with the picture.
 #[derive(Debug, Clone, PartialEq)]
@@ -15,6 +16,8 @@ pub struct Hypothesis {
     pub turn_log: Option<f64>,
     /// Log odds from the usual attitude of neighbours, where hypotheses compete.
     pub tilt_log: f64,
+    /// Whether markers were decoded at the places of this pose.
+    pub is_marked: bool,
 }
 
 /// Source of a hypothesis.
@@ -44,7 +47,17 @@ impl StartSource {
 impl Hypothesis {
     /// A pose with the result of its alignment alone.
     pub fn of(source: StartSource, found: Result<Alignment, AlignError>) -> Self {
-        Self { source, found, turn_log: None, tilt_log: 0.0 }
+        Self { source, found, turn_log: None, tilt_log: 0.0, is_marked: false }
+    }
+
+    /// A pose, and whether markers were decoded at its places.
+    pub(crate) fn marked(
+        source: StartSource,
+        found: Result<Alignment, AlignError>,
+        is_marked: impl Fn(&Isometry3<f64>) -> bool,
+    ) -> Self {
+        let is_marked = found.as_ref().is_ok_and(|found| is_marked(&found.camera_from_markers));
+        Self { is_marked, ..Self::of(source, found) }
     }
 
     pub(crate) fn alignment(&self) -> Option<&Alignment> {

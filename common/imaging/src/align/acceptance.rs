@@ -2,7 +2,8 @@
 //!
 //! [`super::evidence`] measures the evidence in the image; this module decides whether it is
 //! enough. The limits allow at most [`FALSE_POSES_PER_HOUR`] for each way to find a pose. The
-//! number of tries in an hour differs: anywhere, or where a track predicts the body.
+//! number of tries in an hour differs: anywhere, where a track predicts the body, or where markers
+//! were decoded.
 
 use flockeye_geometry::pose::{
     FALSE_POSES_PER_HOUR, FALSE_POSITION_M, FALSE_ROTATION_RAD, least_lead, position_deviation_m,
@@ -26,6 +27,9 @@ const ANYWHERE_PER_HOUR: f64 = 36_000.0;
 /// Poses tried in an hour where a track wrongly predicts the body: a twentieth of 30 a second.
 const PREDICTED_PER_HOUR: f64 = 5_400.0;
 
+/// Poses tried in an hour where false markers were decoded: one in a thousand frames.
+const MARKED_PER_HOUR: f64 = 108.0;
+
 // Least number of standard deviations that fit into the limits of a false pose, for a pose that is
 // a measurement by itself. docs/results/constants.md#precision has the curve.
 
@@ -48,6 +52,11 @@ pub fn least_log_odds_anywhere() -> f64 {
 /// Least log odds of a pose where a track predicts the body.
 pub fn least_log_odds_predicted() -> f64 {
     least_log_odds(PREDICTED_PER_HOUR)
+}
+
+/// Least log odds of a pose that decoded markers support.
+pub fn least_log_odds_marked() -> f64 {
+    least_log_odds(MARKED_PER_HOUR)
 }
 
 /// Whether an aligned pose with this covariance, position (m), then rotation vector (rad), is
@@ -78,6 +87,12 @@ impl Alignment {
     pub fn is_accepted_with_track_prior(&self, prior_log_odds: f64) -> bool {
         self.evidence.log_odds + prior_log_odds >= least_log_odds_predicted()
     }
+
+    /// Whether the body is at the pose, where markers were decoded. `prior_log_odds` rate other
+    /// knowledge, because a mirror pose has its marker at the same place.
+    pub fn is_accepted_with_markers(&self, prior_log_odds: f64) -> bool {
+        self.evidence.log_odds + prior_log_odds >= least_log_odds_marked()
+    }
 }
 
 impl Evidence {
@@ -94,8 +109,9 @@ mod tests {
 
     #[test]
     fn the_more_is_tried_the_more_is_asked() {
-        let [predicted, anywhere] = [PREDICTED_PER_HOUR, ANYWHERE_PER_HOUR].map(least_log_odds);
-        assert!(0.0 < predicted && predicted < anywhere && anywhere < 10.0);
+        let [marked, predicted, anywhere] =
+            [MARKED_PER_HOUR, PREDICTED_PER_HOUR, ANYWHERE_PER_HOUR].map(least_log_odds);
+        assert!(0.0 < marked && marked < predicted && predicted < anywhere && anywhere < 10.0);
         // Share of the false poses that remain.
         let left = ANYWHERE_PER_HOUR * POSITIVE_SHARE * (-anywhere).exp();
         assert!((left - FALSE_POSES_PER_HOUR).abs() < 1e-9);

@@ -48,7 +48,8 @@ mod spread;
 mod state;
 
 pub use acceptance::{
-    is_precise, is_precise_by_corners, least_log_odds_anywhere, least_log_odds_predicted,
+    is_precise, is_precise_by_corners, least_log_odds_anywhere, least_log_odds_marked,
+    least_log_odds_predicted,
 };
 pub use acquire::{Place, Templates};
 pub use alignment::{AlignError, AlignOptions, Alignment, VIDEO_COVARIANCE_SCALE};

@@ -63,6 +63,14 @@ fn of_poses_that_a_track_supports_the_likeliest_counts() {
     let weak = |turn_log| Hypothesis { turn_log: Some(turn_log), ..tried(0.0, 6.0, true) };
     assert!(of_tracked(&[weak(0.0)]).chosen.is_some());
     assert!(of_tracked(&[weak(-3.0)]).chosen.is_none());
+    // Markers make up for a weak picture, unless the prediction speaks against the pose.
+    let marked = |turn_log| Hypothesis {
+        turn_log: Some(turn_log),
+        is_marked: true,
+        ..tried(0.0, 2.0, true)
+    };
+    assert!(of_tracked(&[marked(0.0)]).chosen.is_some());
+    assert!(of_tracked(&[marked(-3.0)]).chosen.is_none());
 }
 
 #[test]

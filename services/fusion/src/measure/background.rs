@@ -7,16 +7,19 @@
 use flockeye_contract::FrameOrder;
 use std::collections::BTreeSet;
 
-use flockeye_geometry::pose::PoseEstimate;
+use flockeye_geometry::body::Body;
+use flockeye_geometry::pose::{CornerRay, PoseEstimate};
 use flockeye_geometry::view::View;
 use flockeye_imaging::align::{Motion, Picture};
 use flockeye_imaging::image::LumaImage;
 use flockeye_imaging::light::LinearLight;
+use nalgebra::Isometry3;
 
 use super::FrameTime;
 use super::inputs::PassInputs;
 use crate::account::{Pass, Trial};
 use crate::aligner::{Aligner, BestView, Sought, Start};
+use crate::decide::markers::supports;
 use crate::hypothesis::StartSource;
 use crate::policy::TimeBudget;
 
@@ -105,9 +108,11 @@ impl BackgroundSlot {
 #[derive(Debug)]
 pub struct Job {
     target: usize,
+    body: Body,
     /// The trial, before the pass.
     trial: Box<Trial>,
     view: CopiedView,
+    decoded: Vec<CornerRay>,
     starts: Vec<(StartSource, Start)>,
     /// The prediction of a confirmed track.
     confirmed: Option<PoseEstimate>,
@@ -151,8 +156,10 @@ impl Job {
     fn new(inputs: &PassInputs<'_>) -> Option<Self> {
         Some(Self {
             target: inputs.target,
+            body: inputs.body.clone(),
             trial: Box::new(Trial { pass: Pass::Background, ..inputs.trial.clone() }),
             view: CopiedView::of(inputs.best_view.as_ref()?),
+            decoded: inputs.decoded.clone(),
             starts: inputs.background_starts(),
             confirmed: inputs.prior.confirmed().copied(),
         })
@@ -165,7 +172,8 @@ impl Job {
         let decision = picture.as_ref().map(|picture| {
             let (target, starts, budget) = (self.target, &self.starts, TimeBudget::OneFrame);
             let sought = Sought { target, picture, starts, budget };
-            aligner.find(&sought, self.confirmed.as_ref(), &mut tried)
+            let is_marked = |pose: &Isometry3<f64>| supports(&self.body, &self.decoded, pose);
+            aligner.find(&sought, is_marked, self.confirmed.as_ref(), &mut tried)
         });
         let decision = decision.unwrap_or_default();
         (self.trial.decision, self.trial.hypotheses) = (decision, tried);

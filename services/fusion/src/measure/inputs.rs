@@ -6,6 +6,7 @@ use nalgebra::Isometry3;
 
 use crate::account::{Pass, Trial};
 use crate::aligner::{Aligner, BestView, Sought, Start};
+use crate::decide::markers::supports;
 use crate::decide::{self, Decision};
 use crate::frame::parts::{Attempt, Part};
 use crate::hypothesis::{CornerPose, Hypothesis, StartSource};
@@ -91,8 +92,9 @@ impl PassInputs<'_> {
         });
         let sought =
             Sought { target: self.target, picture: &view.picture, starts: &starts, budget };
+        let is_marked = |pose: &Isometry3<f64>| supports(self.body, &self.decoded, pose);
         let confirmed = self.prior.confirmed();
-        let decision = aligner.find(&sought, confirmed, tried);
+        let decision = aligner.find(&sought, is_marked, confirmed, tried);
         // A direct pass accepts only a certain pose: others wait for markers. The decision above
         // also accepts a supported one.
         match pass {

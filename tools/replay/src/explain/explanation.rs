@@ -255,6 +255,8 @@ pub(super) struct LogOddsTerms {
     pub turn: Option<f64>,
     /// Term of the neighbour's tilt.
     pub tilt: f64,
+    /// Whether decoded markers fit the pose, which lowers the limits.
+    pub is_marked: bool,
 }
 
 /// The published result.

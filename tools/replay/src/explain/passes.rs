@@ -2,7 +2,9 @@
 
 use flockeye_config::Resolved;
 use flockeye_geometry::pose::least_lead;
-use flockeye_imaging::align::{least_log_odds_anywhere, least_log_odds_predicted};
+use flockeye_imaging::align::{
+    least_log_odds_anywhere, least_log_odds_marked, least_log_odds_predicted,
+};
 
 use super::explanation::{CornerFacts, HypothesisFacts, LogOddsTerms, PassFacts};
 use super::poses::{Mounting, deviations};
@@ -116,6 +118,7 @@ fn hypothesis_facts(
             picture_of_other_facets: found.evidence.log_odds_of_others,
             turn: hypothesis.turn_log,
             tilt: hypothesis.tilt_log,
+            is_marked: hypothesis.is_marked,
         }),
         correlation: found.map(|found| found.evidence.correlation),
         agreeing_facets: found.map(|found| found.evidence.agreeing_facets),
@@ -155,7 +158,7 @@ fn below(hypothesis: &Hypothesis) -> String {
     let Ok(found) = &hypothesis.found else { return "nothing could be compared".to_owned() };
     let (picture, turn) = (found.evidence.log_odds, hypothesis.turn_log);
     let (anywhere, predicted) = (least_log_odds_anywhere(), least_log_odds_predicted());
-    match turn {
+    let mut said = match turn {
         // The direct pass has two limits: for the picture alone, and together with the prediction.
         Some(turn) if picture + turn >= predicted => format!(
             "refused: the picture alone has log odds {picture:.1}, and {anywhere:.1} are asked for"
@@ -167,7 +170,11 @@ fn below(hypothesis: &Hypothesis) -> String {
         None => {
             format!("refused: log odds {picture:.1}, and {anywhere:.1} are asked for")
         }
+    };
+    if hypothesis.is_marked {
+        said.push_str(&format!(" ({:.1} with its markers)", least_log_odds_marked()));
     }
+    said
 }
 
 /// The name of a pass.

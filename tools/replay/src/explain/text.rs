@@ -216,6 +216,7 @@ fn hypothesis(out: &mut String, hypothesis: &HypothesisFacts) -> std::fmt::Resul
         let turn = terms.turn.map_or_else(String::new, |turn| format!(" {turn:+.1} turn"));
         let tilt =
             if terms.tilt == 0.0 { String::new() } else { format!(" {:+.1} tilt", terms.tilt) };
+        let marked = if terms.is_marked { ", its markers lie there" } else { "" };
         write!(
             out,
             "{}, +- {}\n      log odds {log_odds:.1} = {:.1} picture{turn}{tilt}",
@@ -228,7 +229,7 @@ fn hypothesis(out: &mut String, hypothesis: &HypothesisFacts) -> std::fmt::Resul
         {
             write!(
                 out,
-                " (correlation {correlation:.2}, {facets} facets agree, {:.0} % visible)",
+                " (correlation {correlation:.2}, {facets} facets agree, {:.0} % visible{marked})",
                 visible * 100.0
             )?;
         }

@@ -6,7 +6,7 @@ use crate::fixtures::alpha;
 use crate::track_prior::TrackPrior;
 use flockeye_geometry::pose::PoseEstimate;
 use flockeye_imaging::light::{CodeRange, TransferCurve};
-use nalgebra::{Isometry3, Matrix6, Vector3};
+use nalgebra::{Matrix6, Vector3};
 
 /// Requests passes over an empty picture, for tracked targets.
 fn with_requests(
