@@ -277,8 +277,7 @@ impl Budget {
     #[expect(clippy::expect_used, reason = "the budget has a row for each row of the table")]
     pub fn topic<T: Topic>(&self) -> &Limits {
         let found = self.topics.iter().find(|limits| limits.topic == T::NAME);
-        // `topics` is made from `TOPICS`, which has each topic of the contract.
-        found.expect("limits of each topic")
+        found.expect("limits of each topic") // `topics` has each topic of `TOPICS`.
     }
 
     /// Bytes that one more process of a stage needs.

@@ -321,11 +321,6 @@ pub(crate) fn of_untracked(tried: &[Hypothesis], likeliest: Option<usize>) -> De
     decision
 }
 
-/// Whether a precise pose is chosen.
-fn is_precise(decision: &Decision, tried: &[Hypothesis]) -> bool {
-    decision.chosen_of(tried).is_some_and(|found| found.is_precise)
-}
-
 /// Whether a pose from corners is acceptable as a measurement: if enough markers fit and its
 /// covariance is small enough. With a confirmed track, whose prediction is `prior`, `min_markers`
 /// must fit. One marker alone is enough only where the prediction itself could not be false. `lead`
@@ -386,7 +381,8 @@ pub(crate) fn with_corners(
     };
     let Some(index) = corner_poses.iter().position(of_use) else { return decision };
     let are_corners_precise = corner_poses[index].verdict == CornerVerdict::Enough;
-    let is_decided = is_precise(&decision, tried) && decision.lead.is_none();
+    let is_precise = decision.chosen_of(tried).is_some_and(|found| found.is_precise);
+    let is_decided = is_precise && decision.lead.is_none();
     match decision.chosen {
         Some(_) if is_decided || !are_corners_precise => decision,
         _ => Decision { chosen: Some(PoseIndex::Corners(index)), lead: None, ..decision },

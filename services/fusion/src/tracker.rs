@@ -47,7 +47,7 @@ pub struct Tracker {
     /// Most threads that measure targets of one frame.
     pub(crate) threads: usize,
     pub(crate) camera: CameraState,
-    /// Queue of long passes; `None`: they run at once.
+    /// Background passes; `None`: rough starts run at once.
     pub(crate) background: Option<BackgroundSlot>,
     attempts: Attempts,
     /// The last frame that has ended, and its exposure, seconds.

@@ -70,13 +70,11 @@ fn short(name: &str) -> String {
     name.split(" (").next().unwrap_or(name).replace('\'', "")
 }
 
-// `unwrap` ends the program where the device is lost: then there is nothing to measure.
-
 /// A row of the table: medians of single frames, and means of consecutive frames.
 fn measure(rectifier: &mut dyn Rectifier, scene: &Scene, cuts: &[Cut]) -> String {
     let mut outs: Vec<Vec<u8>> = cuts.iter().map(|cut| buffer(&cut.view)).collect();
     let order = |rectifier: &mut dyn Rectifier, frame: u64| {
-        rectifier.order(scene.key(frame), &scene.sphere(), cuts).unwrap();
+        rectifier.order(scene.key(frame), &scene.sphere(), cuts).unwrap(); // A lost device ends it.
     };
     let mut cut_all = |rectifier: &mut dyn Rectifier, frame: u64| {
         for (cut, out) in cuts.iter().zip(&mut outs) {
@@ -86,7 +84,7 @@ fn measure(rectifier: &mut dyn Rectifier, scene: &Scene, cuts: &[Cut]) -> String
     let (mut alone, mut uploads) = (Vec::new(), Vec::new());
     for frame in 0..WARM_UP + FRAMES {
         let begun = Instant::now();
-        rectifier.prepare(scene.key(frame), &scene.sphere()).unwrap();
+        rectifier.prepare(scene.key(frame), &scene.sphere()).unwrap(); // A lost device ends it.
         uploads.push(begun.elapsed().as_secs_f64() * 1e3);
         order(rectifier, frame);
         cut_all(rectifier, frame);
@@ -94,11 +92,11 @@ fn measure(rectifier: &mut dyn Rectifier, scene: &Scene, cuts: &[Cut]) -> String
     }
     // As in the stage: the next frame is uploaded during the wait for this frame's views.
     let first = 1000;
-    rectifier.prepare(scene.key(first), &scene.sphere()).unwrap();
+    rectifier.prepare(scene.key(first), &scene.sphere()).unwrap(); // A lost device ends it.
     let (begun, used) = (Instant::now(), processor_ms());
     for frame in first..first + FRAMES {
         order(rectifier, frame);
-        rectifier.prepare(scene.key(frame + 1), &scene.sphere()).unwrap();
+        rectifier.prepare(scene.key(frame + 1), &scene.sphere()).unwrap(); // A lost device ends it.
         cut_all(rectifier, frame);
     }
     let rate = FRAMES as f64 / begun.elapsed().as_secs_f64();

@@ -23,8 +23,8 @@ use crate::decide::markers::supports;
 use crate::hypothesis::StartSource;
 use crate::policy::TimeBudget;
 
-/// The background pass that runs, and the targets that were refused one. It holds no thread: the caller of
-/// [`BackgroundSlot::take_job`] returns the answer to [`BackgroundSlot::finish`].
+/// The background pass that runs, and the targets that were refused one. It holds no thread: the
+/// caller of [`BackgroundSlot::take_job`] returns the answer to [`BackgroundSlot::finish`].
 #[derive(Debug, Default)]
 pub(crate) struct BackgroundSlot {
     pub(crate) under_way: Option<UnderWay>,
