@@ -15,6 +15,7 @@
 mod candidates;
 mod choice;
 mod ippe;
+mod lens_error;
 mod rays;
 mod refine;
 mod residual;
@@ -22,6 +23,7 @@ mod residual;
 pub use candidates::{mirror_image, solve};
 pub use choice::{FALSE_POSES_PER_HOUR, choose, lead, least_lead};
 pub use ippe::squared_distance_from_square;
+pub use lens_error::LensError;
 pub use rays::{CornerRay, keep_sharpest};
 pub use residual::moved;
 

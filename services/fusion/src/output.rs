@@ -11,7 +11,7 @@ use flockeye_contract::{
 use flockeye_convert::{pose, row_major, search_code, stop_rule, xyzw};
 use flockeye_geometry::body::{Bodies, Body};
 use flockeye_geometry::filter::{self, MotionEstimate, RivalPose};
-use flockeye_geometry::pose::PoseEstimate;
+use flockeye_geometry::pose::{LensError, PoseEstimate};
 use flockeye_geometry::search::{Purpose, Search, SearchView};
 use flockeye_runtime::memory::MAX_TRACKS;
 use nalgebra::{Isometry3, Matrix3, Matrix6, Vector3};
@@ -86,12 +86,20 @@ impl TrackMessage {
     }
 }
 
+/// The camera on the observer.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct CameraMount {
+    pub(crate) observer_from_camera: Isometry3<f64>,
+    /// What is not known of its lens. It is the same in all frames, so no filter averages it away:
+    /// it is added where poses leave.
+    pub(crate) lens: LensError,
+}
+
 /// Writes messages for one observer.
 #[derive(Debug)]
 pub struct Writer {
     pub(crate) bodies: Bodies,
-    /// Mount of the camera on the observer.
-    pub(crate) observer_from_camera: Isometry3<f64>,
+    pub(crate) mount: CameraMount,
     /// Flow of frames: in a lossless run exposures have another clock than the stages.
     pub(crate) flow: Flow,
     pub(crate) mode: contract::SearchMode,
@@ -116,13 +124,12 @@ impl Writer {
         };
         let tracks = updates.iter().filter_map(|((target, estimate), cause)| {
             let body = self.bodies.get(*target)?;
-            let track = track(*target, estimate, body, &self.observer_from_camera);
+            let track = track(*target, estimate, body, &self.mount);
             let predicted_s = predicted_ns as f64 * 1e-9;
             let rival = tracker.rival(*target, predicted_s).filter(|_| track.is_ambiguous != 0);
             let track = match tracker.prediction(*target, predicted_s) {
                 Some(predicted) => {
-                    let (at, covariance) =
-                        believed(&predicted.pose(), rival, body, &self.observer_from_camera);
+                    let (at, covariance) = believed(&predicted.pose(), rival, body, &self.mount);
                     Track {
                         predicted_observer_from_target: pose(&at),
                         predicted_covariance: row_major(&covariance),
@@ -180,7 +187,8 @@ impl Writer {
     }
 }
 
-/// The pose of the target drone in the observer drone's frame, mounts applied, with its covariance.
+/// The pose of the target drone in the observer drone's frame, mounts applied, with its covariance
+/// and the lens's error.
 ///
 /// A small rotation d of the markers moves the target's origin, which lies at r from theirs (both
 /// in the camera's axes), by d x r; so the covariance turns with J = [I, -[r]x; 0, I], then both
@@ -188,8 +196,9 @@ impl Writer {
 fn mounted(
     estimate: &PoseEstimate,
     body: &Body,
-    observer_from_camera: &Isometry3<f64>,
+    CameraMount { observer_from_camera, lens }: &CameraMount,
 ) -> (Isometry3<f64>, Matrix6<f64>) {
+    let estimate = lens.added(estimate, body);
     let markers_from_target = body.target_from_markers.inverse();
     let camera_from_target = estimate.camera_from_markers * markers_from_target;
     let offset = estimate.camera_from_markers.rotation * markers_from_target.translation.vector;
@@ -203,23 +212,16 @@ fn mounted(
 }
 
 /// An estimate as a track, without its latency.
-fn track(
-    target: usize,
-    estimate: &TargetEstimate,
-    body: &Body,
-    observer_from_camera: &Isometry3<f64>,
-) -> Track {
-    let (observer_from_target, covariance) =
-        believed(&estimate.pose, estimate.rival, body, observer_from_camera);
+fn track(target: usize, estimate: &TargetEstimate, body: &Body, mount: &CameraMount) -> Track {
+    let (observer_from_target, covariance) = believed(&estimate.pose, estimate.rival, body, mount);
     let is_published = |_: &RivalPose| {
         let states = [filter::TrackState::Confirmed, filter::TrackState::Coasting];
         estimate.state.is_some_and(|state| states.contains(&state))
     };
     let rival = estimate.rival.filter(is_published);
-    let measured =
-        estimate.measured.map(|(measured, _)| mounted(&measured, body, observer_from_camera));
+    let measured = estimate.measured.map(|(measured, _)| mounted(&measured, body, mount));
     let measured_by = estimate.measured.map_or(MeasuredBy::Nothing, |(_, by)| by);
-    let turn: Matrix3<f64> = observer_from_camera.rotation.to_rotation_matrix().into_inner();
+    let turn: Matrix3<f64> = mount.observer_from_camera.rotation.to_rotation_matrix().into_inner();
     let offset = estimate.pose.camera_from_markers.rotation
         * body.target_from_markers.inverse().translation.vector;
     let velocity: Vector3<f64> = turn * (estimate.velocity + estimate.rate.cross(&offset));
@@ -237,7 +239,7 @@ fn track(
         Some(filter::TrackState::Coasting) => TrackState::Coasting,
         Some(filter::TrackState::Lost) => TrackState::Lost,
     };
-    let track = match rival.map(|rival| (mounted(&rival.pose, body, observer_from_camera), rival)) {
+    let track = match rival.map(|rival| (mounted(&rival.pose, body, mount), rival)) {
         None => Track::default(),
         Some(((at, covariance), rival)) => Track {
             rival_observer_from_target: pose(&at),
@@ -272,12 +274,12 @@ fn believed(
     estimate: &PoseEstimate,
     rival: Option<RivalPose>,
     body: &Body,
-    observer_from_camera: &Isometry3<f64>,
+    mount: &CameraMount,
 ) -> (Isometry3<f64>, Matrix6<f64>) {
-    let (at, covariance) = mounted(estimate, body, observer_from_camera);
+    let (at, covariance) = mounted(estimate, body, mount);
     let Some(RivalPose { pose, lead }) = rival else { return (at, covariance) };
     let both = |(camera_from_markers, covariance)| PoseEstimate { camera_from_markers, covariance };
-    let rival = RivalPose { pose: both(mounted(&pose, body, observer_from_camera)), lead };
+    let rival = RivalPose { pose: both(mounted(&pose, body, mount)), lead };
     (at, rival.covariance_beside(&both((at, covariance))))
 }
 
@@ -349,6 +351,10 @@ mod tests {
         )
     }
 
+    fn mount(observer_from_camera: Isometry3<f64>) -> CameraMount {
+        CameraMount { observer_from_camera, lens: LensError::default() }
+    }
+
     #[test]
     fn an_ambiguous_track_has_both_poses_and_a_covariance_that_covers_both() {
         let estimate_of = |x: f64, roll: f64| PoseEstimate {
@@ -364,7 +370,7 @@ mod tests {
             measured: None,
             ..TargetEstimate::of_frame(&measurement)
         };
-        let written = track(0, &estimate, &alpha(), &Isometry3::identity());
+        let written = track(0, &estimate, &alpha(), &mount(Isometry3::identity()));
         assert_eq!((written.is_ambiguous, written.rival_lead), (1, lead));
         assert_eq!((written.state, written.measured_by), (TrackState::Coasting.code(), 0));
         assert!((written.rival_observer_from_target.position[0] - 1.2).abs() < 1e-12);
@@ -377,7 +383,7 @@ mod tests {
             (filter::TrackState::Lost, TrackState::Lost),
         ] {
             let ended = TargetEstimate { state: Some(state), ..estimate.clone() };
-            let written = track(0, &ended, &alpha(), &Isometry3::identity());
+            let written = track(0, &ended, &alpha(), &mount(Isometry3::identity()));
             assert_eq!((written.is_ambiguous, written.state), (0, code.code()));
         }
     }
@@ -387,7 +393,7 @@ mod tests {
     fn mounts_transform_the_covariance() {
         let mut body = alpha();
         body.target_from_markers = transform(0.1, -0.2, 0.3, 0.3, 0.2, 0.1);
-        let observer_from_camera = transform(1.0, 2.0, 3.0, -0.4, 0.5, 0.6);
+        let mount = mount(transform(1.0, 2.0, 3.0, -0.4, 0.5, 0.6));
         let at = transform(0.5, 0.6, -0.7, 1.0, -0.3, 2.0);
         let moved = |change: &Vector6<f64>| {
             let rotation = UnitQuaternion::from_scaled_axis(change.fixed_rows::<3>(3).into_owned());
@@ -397,7 +403,7 @@ mod tests {
             );
             let estimate =
                 PoseEstimate { camera_from_markers: moved, covariance: Matrix6::identity() };
-            mounted(&estimate, &body, &observer_from_camera).0
+            mounted(&estimate, &body, &mount).0
         };
         let straight = moved(&Vector6::zeros());
         let mut jacobian = Matrix6::zeros();
@@ -412,7 +418,7 @@ mod tests {
         }
         let spread = Matrix6::from_diagonal(&Vector6::new(1.0, 2.0, 3.0, 4.0, 5.0, 6.0));
         let estimate = PoseEstimate { camera_from_markers: at, covariance: spread };
-        let (_, covariance) = mounted(&estimate, &body, &observer_from_camera);
+        let (_, covariance) = mounted(&estimate, &body, &mount);
         assert!((covariance - jacobian * spread * jacobian.transpose()).norm() < 1e-4);
     }
 }

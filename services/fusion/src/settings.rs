@@ -9,6 +9,7 @@ use flockeye_convert::RadianceCache;
 use flockeye_dictionary::Dictionary;
 use flockeye_geometry::camera::CameraModel;
 use flockeye_geometry::filter::{MotionModel, TrackPolicy};
+use flockeye_geometry::pose::LensError;
 use flockeye_geometry::search::{PlanOrder, Planner};
 use flockeye_imaging::align::VIDEO_COVARIANCE_SCALE;
 use flockeye_runtime::memory;
@@ -17,7 +18,7 @@ use crate::aligner::Aligner;
 use crate::core::Core;
 use crate::frame::frames::{Frames, Keeping};
 use crate::measure::background::BackgroundSlot;
-use crate::output::Writer;
+use crate::output::{CameraMount, Writer};
 use crate::parallax::Parallax;
 use crate::pictures::PictureReader;
 use crate::schedule::{Schedule, VirtualClock};
@@ -64,6 +65,8 @@ pub fn configured<P: AsRef<[u8]>>(
     let exposure_s = pipeline.exposure_s();
     let mut tracker = Tracker::new(bodies, filter, aligner.clone(), threads, exposure_s);
     tracker.camera.parallax = parallax.clone();
+    let lens = LensError { deviation_rad: pipeline.lens_error_px() / camera.pixels_per_radian() };
+    tracker.camera.lens = lens;
     let readout_s = pipeline.camera.readout_ms * 1e-3;
     tracker.camera.readout = (readout_s > 0.0).then_some((*camera, readout_s));
     tracker.background = has_background.then(BackgroundSlot::default);
@@ -98,7 +101,7 @@ pub fn configured<P: AsRef<[u8]>>(
     };
     let writer = Writer {
         bodies: bodies.clone(),
-        observer_from_camera: *observer_from_camera,
+        mount: CameraMount { observer_from_camera: *observer_from_camera, lens },
         flow: pipeline.flow(),
         mode: pipeline.search.mode,
         generation,

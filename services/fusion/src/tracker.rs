@@ -9,6 +9,7 @@ use flockeye_geometry::body::Bodies;
 use flockeye_geometry::camera::Camera;
 use flockeye_geometry::ego_rotation::EgoRotation;
 use flockeye_geometry::filter::{HISTORY_S, TrackPolicy};
+use flockeye_geometry::pose::LensError;
 
 use crate::account::{AccountEntry, Pass, Trial};
 use crate::aligner::Aligner;
@@ -31,6 +32,8 @@ pub(crate) struct CameraState {
     exposure: ExposureEstimate,
     /// Corrects rays and poses to their distances; `None` if all lenses lie at the camera's centre.
     pub(crate) parallax: Option<Parallax>,
+    /// What is not known of its lens.
+    pub(crate) lens: LensError,
     /// Its model, and the time from its first to its last row, seconds; `None` where all rows are
     /// exposed at once.
     pub(crate) readout: Option<(Camera, f64)>,
@@ -77,6 +80,7 @@ impl Tracker {
                 ego: EgoRotation::new(policy.motion.longest_step_s + HISTORY_S),
                 exposure: ExposureEstimate::new(exposure_s, aligner.pixels_per_radian),
                 parallax: None,
+                lens: LensError::default(),
                 readout: None,
             },
             aligner,
@@ -174,7 +178,7 @@ impl Tracker {
             let Some(target) = answer.region_of() else { continue };
             let Some(known) = self.targets.get_mut(target) else { continue };
             let Some(pose) = parts.get(target).and_then(Part::direct_pose) else { continue };
-            let rays = decoded_rays(&known.body, &answer.record.markers);
+            let rays = decoded_rays(&known.body, self.camera.lens, &answer.record.markers);
             if contradicts(&known.body, &rays, pose) {
                 known.suspend_direct_pass();
                 self.note(order, target, AccountEntry::Contradicted);

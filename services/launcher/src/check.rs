@@ -95,7 +95,14 @@ fn plan(resolved: &Resolved, budget: &Budget) -> anyhow::Result<String> {
     )?;
     let camera = &pipeline.camera;
     let projection = format!("{:?}", camera.projection);
-    writeln!(text, "camera   {}x{}, {projection}", camera.width, camera.height)?;
+    writeln!(
+        text,
+        "camera   {}x{}, {projection}, rays off by {} px ({})",
+        camera.width,
+        camera.height,
+        pipeline.lens_error_px(),
+        if camera.lens_error_px.is_some() { "camera.lens_error_px" } else { "assumed" }
+    )?;
     let mask = resolved.mask()?;
     let hidden = views.iter().filter(|view| mask.hides_view(view)).count();
     if let Some(path) = &camera.mask {

@@ -31,6 +31,10 @@ pub struct CameraSettings {
     /// Of a stereographic image: angle across its circle, degrees.
     #[schemars(range(min = 1.0, max = 350.0))]
     pub stereographic_field_deg: f64,
+    /// How far rays of this model are off, picture pixels, one standard deviation; neighbouring rays alike.
+    /// Left out: 0.3 for lenses of a dual fisheye camera, 0 for other cameras and for the simulator.
+    #[schemars(range(min = 0.0, max = 100.0))]
+    pub lens_error_px: Option<f64>,
     /// The distance for which rays are exact where no neighbour is predicted, metres. It matters only if
     /// lenses are off the camera's centre.
     #[schemars(range(min = 0.1, max = 1000.0))]
@@ -68,6 +72,7 @@ impl Default for CameraSettings {
             lens_distance_m: 0.0,
             lenses: Vec::new(),
             stereographic_field_deg: 300.0,
+            lens_error_px: None,
             assumed_distance_m: 1.5,
             mask: None,
             response: Transfer::Srgb,

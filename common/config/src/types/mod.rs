@@ -1,6 +1,6 @@
 //! The configuration as types. Their doc comments are the descriptions in the JSON Schema.
 
-use flockeye_contract::StageName;
+use flockeye_contract::{Projection, StageName};
 use flockeye_geometry::filter::TrackPolicy;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -108,6 +108,16 @@ impl Pipeline {
             _ => self.camera.exposure_ms,
         };
         (exposure_ms > 0.0).then_some(exposure_ms * 1e-3)
+    }
+
+    /// How far rays of the camera's model are off, picture pixels, one standard deviation.
+    ///
+    /// Published calibrations of fisheye lenses state 0.1 to 0.5 pixels where none is given.
+    pub fn lens_error_px(&self) -> f64 {
+        let is_fisheye = self.camera.projection == Projection::DualFisheye;
+        let is_simulated = self.source.stage() == StageName::Simulator;
+        let usual = if is_fisheye && !is_simulated { 0.3 } else { 0.0 };
+        self.camera.lens_error_px.unwrap_or(usual)
     }
 
     /// Whether an inertial sensor is configured, wherever its samples come from.

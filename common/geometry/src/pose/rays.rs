@@ -168,7 +168,7 @@ pub(super) fn sighted<'a>(body: &'a Body, rays: &[CornerRay]) -> Vec<SightedMark
 }
 
 /// Two unit vectors orthogonal to the ray and to each other.
-fn tangent(ray: &Ray) -> Matrix3x2<f64> {
+pub(super) fn tangent(ray: &Ray) -> Matrix3x2<f64> {
     // The axis farthest from the ray gives the best conditioned cross product.
     let axis = match ray.iamin() {
         0 => Vector3::x(),

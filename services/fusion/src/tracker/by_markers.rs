@@ -128,7 +128,7 @@ impl Tracker {
         let best_view = best_views.get(&target).map(|view| view.moving(motion));
         let mut decoded = Vec::new();
         for AnsweredView { record, view, .. } in answered {
-            let mut of_view = decoded_rays(body, &record.markers);
+            let mut of_view = decoded_rays(body, self.camera.lens, &record.markers);
             if let Some(parallax) = &self.camera.parallax {
                 let from_m = parallax.distance_m(*view);
                 for ray in &mut of_view {
