@@ -90,8 +90,8 @@ impl TrackMessage {
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct CameraMount {
     pub(crate) observer_from_camera: Isometry3<f64>,
-    /// What is not known of its lens. It is the same in all frames, so no filter averages it away:
-    /// it is added where poses leave.
+    /// The error of its lens model. It is the same in all frames, so the tracks' filters must not
+    /// average it away. It is added where poses leave.
     pub(crate) lens: LensError,
 }
 

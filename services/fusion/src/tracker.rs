@@ -32,7 +32,7 @@ pub(crate) struct CameraState {
     exposure: ExposureEstimate,
     /// Corrects rays and poses to their distances; `None` if all lenses lie at the camera's centre.
     pub(crate) parallax: Option<Parallax>,
-    /// What is not known of its lens.
+    /// The error of its lens model.
     pub(crate) lens: LensError,
     /// Its model, and the time from its first to its last row, seconds; `None` where all rows are
     /// exposed at once.

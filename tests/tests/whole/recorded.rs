@@ -139,7 +139,7 @@ fn true_pose(line: &str) -> Isometry3<f64> {
     Isometry3::from_parts(Translation3::new(x, y, z), rotation)
 }
 
-/// The lens of these pictures is off by a third of a pixel to one. Then corners fit no square.
+/// The lens of these pictures is off by 0.3 to 1 pixel. Then corners fit no square.
 #[test]
 fn a_single_tag_behind_a_wrong_lens_has_a_pose() {
     let Some(data) = recordings() else { return };

@@ -31,7 +31,8 @@ pub struct CameraSettings {
     /// Of a stereographic image: angle across its circle, degrees.
     #[schemars(range(min = 1.0, max = 350.0))]
     pub stereographic_field_deg: f64,
-    /// How far rays of this model are off, picture pixels, one standard deviation; neighbouring rays alike.
+    /// How far rays of this model are off, in pixels of the picture's middle, one standard deviation.
+    /// Neighbouring rays have nearly the same error.
     /// Left out: 0.3 for lenses of a dual fisheye camera, 0 for other cameras and for the simulator.
     #[schemars(range(min = 0.0, max = 100.0))]
     pub lens_error_px: Option<f64>,

@@ -122,8 +122,8 @@ pub struct TargetReport {
 
 /// A pose measured in one frame alone.
 ///
-/// Its errors are independent of those of every other frame and observer, so measurements may be combined
-/// by their covariances. Filtered poses may not: they share what the filter assumes of motion.
+/// Its errors are independent of those of every other observer, and of other frames but for video codecs and
+/// the observer's lens, so measurements may be combined by their covariances. Filtered poses may not: they share what the filter assumes of motion.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Measurement {
     /// As [`TargetReport::position`].

@@ -34,8 +34,9 @@ impl LensError {
     ///
     /// The pose is taken to follow the rays of all corners that face the camera, each with the same
     /// weight: x = (JᵀJ + s² D)⁻¹ Jᵀ e, with e their errors, s the deviation and J their derivative by
-    /// the pose. D keeps a direction without information finite: a deviation of the range and of one
-    /// radian.
+    /// the pose. Some directions may have no information. D is a weak prior, so that the matrix has an
+    /// inverse. Its deviations are the range for the position and one radian for the rotation.
+    /// Where no marker faces the camera, all corners count.
     pub fn added(&self, estimate: &PoseEstimate, body: &Body) -> PoseEstimate {
         if self.deviation_rad <= 0.0 {
             return *estimate;
@@ -51,7 +52,10 @@ impl LensError {
             let centre = (pose * marker.centre()).coords;
             (pose.rotation * marker.normal()).dot(&centre) < 0.0
         });
-        let corners = facing.flat_map(|marker| marker.corners);
+        let mut corners: Vec<_> = facing.flat_map(|marker| marker.corners).collect();
+        if corners.is_empty() {
+            corners = body.markers.iter().flat_map(|marker| marker.corners).collect();
+        }
         let range_m = pose.translation.vector.norm();
         let mut prior = Matrix6::identity();
         prior.fixed_view_mut::<3, 3>(0, 0).fill_diagonal(1.0 / range_m.powi(2));
@@ -72,13 +76,14 @@ impl LensError {
         }
         let Some(factor) = information.cholesky() else { return Matrix6::zeros() };
         let mut squared = Matrix6::zeros();
-        for (direction, pulled) in &sights {
-            let mut together = Matrix6x3::zeros();
-            for (other, pulled) in &sights {
+        for (number, (direction, pulled)) in sights.iter().enumerate() {
+            let mut before = Matrix6x3::zeros();
+            for (other, pulled) in &sights[..number] {
                 let apart = (direction.as_ref() - other.as_ref()) / CORRELATION_RAD;
-                together += pulled * (-0.5 * apart.norm_squared()).exp();
+                before += pulled * (-0.5 * apart.norm_squared()).exp();
             }
-            squared += together * pulled.transpose();
+            let of_pairs = before * pulled.transpose();
+            squared += of_pairs + of_pairs.transpose() + pulled * pulled.transpose();
         }
         let inverse = factor.inverse();
         inverse * squared * inverse * self.deviation_rad.powi(2)
@@ -110,7 +115,8 @@ mod tests {
                 let phase = number.dot(ray) / CORRELATION_RAD;
                 cosine * phase.cos() + sine * phase.sin()
             };
-            waves.iter().map(wave).sum::<Vector3<f64>>() * (ERROR.deviation_rad / (WAVES as f64).sqrt())
+            let sum: Vector3<f64> = waves.iter().map(wave).sum();
+            sum * (ERROR.deviation_rad / (WAVES as f64).sqrt())
         }
     }
 
