@@ -4,7 +4,7 @@ use flockeye_contract::{DetectedMarker, MeasuredBy};
 use flockeye_geometry::Ray;
 use flockeye_geometry::body::Body;
 use flockeye_geometry::filter::RivalPose;
-use flockeye_geometry::pose::{CornerRay, LensError, PoseEstimate};
+use flockeye_geometry::pose::{CornerRay, PoseEstimate};
 use flockeye_geometry::view::{View, ViewPixel};
 use flockeye_imaging::align::Alignment;
 use nalgebra::{Unit, Vector2, Vector3};
@@ -49,11 +49,9 @@ impl PoseMeasurement {
     }
 }
 
-/// Corner rays of the decoded markers that `body` carries, with the lens's error in their
-/// deviations.
+/// Corner rays of the decoded markers that `body` carries.
 pub fn decoded_rays<'m>(
     body: &Body,
-    lens: LensError,
     markers: impl IntoIterator<Item = &'m DetectedMarker>,
 ) -> Vec<CornerRay> {
     let own = markers.into_iter().filter(|marker| body.marker(marker.id).is_some());
@@ -62,7 +60,7 @@ pub fn decoded_rays<'m>(
             marker_id: marker.id,
             corner,
             ray_in_camera: ray(marker.rays_in_camera[corner]),
-            deviation_rad: lens.with(marker.deviations[corner]),
+            deviation_rad: marker.deviations[corner],
         })
     })
     .collect()
@@ -102,10 +100,7 @@ mod tests {
     fn markers_of_other_bodies_are_left_out() {
         let (alpha, bravo) = (alpha(), bravo());
         let pose = Isometry3::translation(1.0, 0.0, 0.0);
-        assert!(
-            decoded_rays(&bravo, LensError::default(), &facing_markers(&alpha, &pose, 8))
-                .is_empty()
-        );
+        assert!(decoded_rays(&bravo, &facing_markers(&alpha, &pose, 8)).is_empty());
     }
 
     #[test]

@@ -178,7 +178,7 @@ impl Tracker {
             let Some(target) = answer.region_of() else { continue };
             let Some(known) = self.targets.get_mut(target) else { continue };
             let Some(pose) = parts.get(target).and_then(Part::direct_pose) else { continue };
-            let rays = decoded_rays(&known.body, self.camera.lens, &answer.record.markers);
+            let rays = decoded_rays(&known.body, &answer.record.markers);
             if contradicts(&known.body, &rays, pose) {
                 known.suspend_direct_pass();
                 self.note(order, target, AccountEntry::Contradicted);

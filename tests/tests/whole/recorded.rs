@@ -15,13 +15,13 @@ const LONG_WATCHDOG: Duration = Duration::from_secs(480);
 
 /// Flies over a recording, each of its frames worked on, and gives the poses of its bodies.
 fn fly(name: &str, source: &Path, bodies: &Path, set: &[&str]) -> (Vec<PoseRow>, String) {
-    fly_with(name, &[], source, bodies, set)
+    fly_with(name, None, source, bodies, set)
 }
 
-/// The same with a configuration.
+/// Flies as [`fly`] does, with a configuration file.
 fn fly_with(
     name: &str,
-    configuration: &[&str],
+    configuration: Option<&Path>,
     source: &Path,
     bodies: &Path,
     set: &[&str],
@@ -31,7 +31,8 @@ fn fly_with(
     let [source, bodies, out] =
         [source, bodies, &poses].map(|path| path.to_str().expect("a plain path"));
     let arguments = ["--source", source, "--bodies", bodies, "--profile", "repeat", "--poses", out];
-    let arguments = [configuration, &arguments].concat();
+    let configuration = configuration.map(|path| path.to_str().expect("a plain path"));
+    let arguments: Vec<&str> = configuration.into_iter().chain(arguments).collect();
     let set: Vec<&str> = set.iter().copied().chain(["gateway.enabled=false"]).collect();
     let mut flight = Flight::start(name, &arguments, &set);
     assert!(flight.wait_for_end(LONG_WATCHDOG).success(), "{}", flight.output());
@@ -102,13 +103,12 @@ fn poses_behind_a_real_fisheye_are_off_by_what_they_state() {
     let Some(data) = recordings() else { return };
     let folder = data.join("real/tumvi");
     let lens = folder.join("lens.yaml");
-    let lens = lens.to_str().expect("a plain path");
     let truth = std::fs::read_to_string(folder.join("truth.csv")).expect("the truth is there");
     let truth: Vec<Isometry3<f64>> = truth.lines().skip(1).map(true_pose).collect();
     for response in ["camera.response=srgb", "camera.response=linear"] {
         let (images, bodies) = (folder.join("images"), folder.join("bodies.json"));
         let set = ["profile=stills", response];
-        let (poses, output) = fly_with("tumvi", &[lens], &images, &bodies, &set);
+        let (poses, output) = fly_with("tumvi", Some(&lens), &images, &bodies, &set);
         assert_eq!(poses.len(), truth.len(), "{output}");
         let mut nees = Vector2::zeros();
         for row in &poses {
@@ -145,7 +145,6 @@ fn a_single_tag_behind_a_wrong_lens_has_a_pose() {
     let Some(data) = recordings() else { return };
     let folder = data.join("real/turntable/rotation");
     let lens = folder.join("lens.yaml");
-    let lens = lens.to_str().expect("a plain path");
     let scratch = Scratch::new("tag");
     let bodies = scratch.path("bodies.json");
     const TAG: &str = r#"{"dictionary": "DICT_APRILTAG_36h11", "bodies": {"tag": {"markers": [
@@ -153,7 +152,7 @@ fn a_single_tag_behind_a_wrong_lens_has_a_pose() {
         [0.0325, -0.0325, 0], [-0.0325, -0.0325, 0]]}]}}}"#;
     std::fs::write(&bodies, TAG).expect("it can be written");
     let images = folder.join("images");
-    let (poses, output) = fly_with("tag", &[lens], &images, &bodies, &["profile=stills"]);
+    let (poses, output) = fly_with("tag", Some(&lens), &images, &bodies, &["profile=stills"]);
     // 5 without the lens's error.
     assert!(poses.len() >= 13, "{} of 15:\n{output}", poses.len());
 }

@@ -4,7 +4,7 @@ use std::path::Path;
 use super::*;
 use crate::resolve::Resolved;
 use crate::types::*;
-use flockeye_contract::SearchMode;
+use flockeye_contract::{Projection, SearchMode};
 
 fn parse(yaml: &str) -> Result<Pipeline, ConfigError> {
     Pipeline::parse(yaml, &[], "pipeline.yaml")
@@ -26,6 +26,19 @@ fn pictures_are_coded_as_video_unless_the_source_has_none() {
     assert!(!is_video(env!("CARGO_MANIFEST_DIR"), "auto"), "a folder of images");
     assert!(is_video("flight.mp4", "auto") && is_video("theta", "auto"));
     assert!(!is_video("v4l2:/dev/video0", "images") && is_video("sim", "video"));
+}
+
+#[test]
+fn only_fisheye_lenses_that_are_not_simulated_are_off_by_default() {
+    let error_px = |input: &str, projection: Projection, stated: Option<f64>| {
+        let mut pipeline = parse(&format!("source: {{input: {input}}}")).unwrap();
+        (pipeline.camera.projection, pipeline.camera.lens_error_px) = (projection, stated);
+        pipeline.lens_error_px()
+    };
+    assert_eq!(error_px("flight.mp4", Projection::DualFisheye, None), 0.3);
+    assert_eq!(error_px("sim", Projection::DualFisheye, None), 0.0);
+    assert_eq!(error_px("flight.mp4", Projection::Equirectangular, None), 0.0);
+    assert_eq!(error_px("sim", Projection::Equirectangular, Some(2.0)), 2.0);
 }
 
 #[test]

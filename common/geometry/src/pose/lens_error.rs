@@ -4,10 +4,11 @@
 //! corners have nearly the same error, however many there are. It is a random field over the
 //! sphere: equal variance everywhere, and a correlation that falls with the angle between two rays.
 
-use nalgebra::{Matrix2x6, Matrix6, Matrix6x3};
+use nalgebra::{Matrix6, Matrix6x3};
 
 use super::PoseEstimate;
 use super::rays::tangent;
+use super::residual::by_pose;
 use crate::Ray;
 use crate::body::Body;
 
@@ -67,10 +68,7 @@ impl LensError {
             let seen = arm + pose.translation.vector;
             let Some(direction) = Ray::try_new(seen, 1e-9) else { continue };
             let across = tangent(&direction);
-            let by_point = across.transpose() / seen.norm();
-            let mut jacobian = Matrix2x6::zeros();
-            jacobian.fixed_columns_mut::<3>(0).copy_from(&by_point);
-            jacobian.fixed_columns_mut::<3>(3).copy_from(&(-by_point * arm.cross_matrix()));
+            let jacobian = by_pose(&(across.transpose() / seen.norm()), &arm);
             information += jacobian.transpose() * jacobian;
             sights.push((direction, jacobian.transpose() * across.transpose()));
         }

@@ -40,10 +40,15 @@ pub(super) fn error_and_jacobian(
     let by_direction: Matrix2x3<f64> = across * scale - error * sight.ray.transpose() / along;
     let direction_by_point = (Matrix3::identity() - direction * direction.transpose()) / range;
     let by_point = by_direction * direction_by_point;
-    let mut jacobian = Matrix2x6::zeros();
-    jacobian.fixed_columns_mut::<3>(0).copy_from(&by_point);
-    jacobian.fixed_columns_mut::<3>(3).copy_from(&(-by_point * arm.cross_matrix()));
-    Some((error, jacobian))
+    Some((error, by_pose(&by_point, &arm)))
+}
+
+/// A derivative by the pose from that by a point, which lies at `arm` from the markers' origin.
+pub(super) fn by_pose(by_point: &Matrix2x3<f64>, arm: &Vector3<f64>) -> Matrix2x6<f64> {
+    let mut by_pose = Matrix2x6::zeros();
+    by_pose.fixed_columns_mut::<3>(0).copy_from(by_point);
+    by_pose.fixed_columns_mut::<3>(3).copy_from(&(-by_point * arm.cross_matrix()));
+    by_pose
 }
 
 /// The pose moved by `step`: position, then rotation vector, in the camera's axes.

@@ -174,7 +174,7 @@ mod tests {
     use crate::fixtures::{aligner, alpha, error_m, facing_markers};
     use crate::measurement::{PoseMeasurement, decoded_rays, marker_ids};
     use flockeye_geometry::body::Bodies;
-    use flockeye_geometry::pose::{LensError, PoseEstimate};
+    use flockeye_geometry::pose::PoseEstimate;
     use nalgebra::{Matrix6, Translation3, UnitQuaternion};
 
     /// The measurement by corners alone.
@@ -201,8 +201,7 @@ mod tests {
             Translation3::new(-0.7, 0.5, 0.3),
             UnitQuaternion::from_euler_angles(0.2, 0.1, 0.7),
         );
-        let rays =
-            |most| decoded_rays(&body, LensError::default(), &facing_markers(&body, &pose, most));
+        let rays = |most| decoded_rays(&body, &facing_markers(&body, &pose, most));
         let found = measure(&body, rays(8), TrackPrior::Untracked).expect("several agree");
         assert!(error_m(&found.pose.camera_from_markers, &pose) < 1e-6);
         assert!(found.markers >= 2);

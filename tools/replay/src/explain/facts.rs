@@ -8,7 +8,7 @@ use flockeye_convert::{at_exposure, isometry, matrix6, view_of};
 use flockeye_geometry::Ray;
 use flockeye_geometry::body::Body;
 use flockeye_geometry::filter;
-use flockeye_geometry::pose::{LensError, position_deviation_m};
+use flockeye_geometry::pose::position_deviation_m;
 use flockeye_geometry::view::View;
 use nalgebra::{Isometry3, Unit, Vector3};
 
@@ -174,7 +174,7 @@ fn markers(
         let view_index = record.header.view_index;
         let view = known.gathered.views.get(&view_index).map(|(view, _)| view);
         for marker in record.markers.iter().filter(|marker| body.marker(marker.id).is_some()) {
-            let rays = decoded_rays(body, LensError::default(), [marker]);
+            let rays = decoded_rays(body, [marker]);
             let off_rad = |pose: &Isometry3<f64>| {
                 let squared = rays.iter().filter_map(|ray| {
                     let corner = pose * body.marker(ray.marker_id)?.corners[ray.corner];
