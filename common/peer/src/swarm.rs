@@ -8,8 +8,8 @@
 //! | [`view`] | combines these parts, with sightings as they arrive |
 //!
 //! Each measurement counts once. Both drones' measurements of each other go into one filter,
-//! because the errors of measurements are independent, but for the error of each camera's lens model,
-//! which this filter averages too. Filtered poses have correlated errors from
+//! because the errors of measurements are independent. The error of a camera's lens
+//! model is not: it is the same in all frames, and the filter makes it too small. Filtered poses have correlated errors from
 //! shared assumptions, so covariance intersection combines them. Each pair is one edge of a graph,
 //! so chains and loops count each edge once too.
 

@@ -122,8 +122,9 @@ pub struct TargetReport {
 
 /// A pose measured in one frame alone.
 ///
-/// Its errors are independent of those of every other observer, and of other frames but for video codecs and
-/// the observer's lens, so measurements may be combined by their covariances. Filtered poses may not: they share what the filter assumes of motion.
+/// Its errors are independent of those of other observers. They are independent of those of other frames, too,
+/// apart from errors of video codecs and of the observer's lens model. So measurements may be combined by their
+/// covariances. Filtered poses may not: they share what the filter assumes of motion.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Measurement {
     /// As [`TargetReport::position`].
