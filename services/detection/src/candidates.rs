@@ -40,9 +40,18 @@ const MIN_TO_BORDER_PX: f64 = 1.0;
 #[derive(Debug, Default)]
 pub struct Candidates {
     /// Outlines that are quadrilaterals.
-    pub whole: Vec<Quad>,
+    pub whole: Vec<Square>,
     /// Squares of which three corners are seen, with the fourth computed from them.
-    pub completed: Vec<Quad>,
+    pub completed: Vec<Square>,
+}
+
+/// A dark quadrilateral in an image.
+#[derive(Debug, Clone, Copy)]
+pub struct Square {
+    /// Its corners.
+    pub corners: Quad,
+    /// Distance that the outline may have from its sides, pixels.
+    pub accuracy_px: f64,
 }
 
 /// Finds squares; reuses its memory for the next image.
@@ -67,22 +76,27 @@ impl Finder {
                 self.approximator.set_outline(outline);
                 let accuracy_px = POLYGON_ACCURACY * length;
                 // An outline around a hole is bright inside, so it belongs to no marker.
-                if encloses == Encloses::Dark {
+                let whole = (encloses == Encloses::Dark).then(|| {
                     let polygon = self.approximator.approximate(accuracy_px);
-                    if let Some(quad) = quad_of(polygon, MIN_SIDE_SHARE * length, image) {
-                        found.whole.push(quad);
-                        continue;
-                    }
-                }
+                    quad_of(polygon, MIN_SIDE_SHARE * length, image)
+                });
+                let whole = whole.flatten().map(|corners| Square { corners, accuracy_px });
                 // For so short an outline the second polygon would be no finer.
                 if accuracy_px <= parameters.corner_accuracy_px {
+                    found.whole.extend(whole);
                     continue;
                 }
-                let polygon = self.approximator.approximate(parameters.corner_accuracy_px);
-                let completed = three_corners::complete(polygon, parameters.min_side_px);
-                found.completed.extend(completed.filter(|quad| {
-                    three_corners::is_dark_inside(image, quad, threshold.darker_by.codes().into())
+                let accuracy_px = parameters.corner_accuracy_px;
+                let polygon = self.approximator.approximate(accuracy_px);
+                found.whole.extend(whole.map(|square| match polygon.len() {
+                    4 => Square { accuracy_px, ..square },
+                    _ => square,
                 }));
+                let completed = three_corners::complete(polygon, parameters.min_side_px);
+                let completed = completed.filter(|quad| {
+                    three_corners::is_dark_inside(image, quad, threshold.darker_by.codes().into())
+                });
+                found.completed.extend(completed.map(|corners| Square { corners, accuracy_px }));
             }
         }
         found

@@ -13,7 +13,7 @@ use flockeye_imaging::image::LumaImage;
 use flockeye_imaging::light::LinearLight;
 use flockeye_imaging::square::mean_side_px;
 
-use crate::candidates::{Candidates, Finder};
+use crate::candidates::{Candidates, Finder, Square};
 use crate::drawn::SAMPLE_CELLS;
 use crate::parameters::{DetectError, DetectorParameters, check_thresholds};
 use crate::quad::{Quad, centre, rotated, with_parallelogram_corner};
@@ -151,14 +151,15 @@ impl Detector {
         let mut found: Vec<MarkerInView> = Vec::new();
         // Several thresholds may give the same square; it would be read with the same result.
         let mut read = HashSet::new();
-        for quad in whole.iter().chain(&completed) {
+        for square in whole.iter().chain(&completed) {
+            let quad = &square.corners;
             if is_hidden(self.mask.as_ref(), view, quad)
                 || found.iter().any(|marker| is_outline_of(marker, quad))
                 || !read.insert(quad.map(|corner| [corner.0.x.to_bits(), corner.0.y.to_bits()]))
             {
                 continue;
             }
-            found.extend(self.read(image, view, light, quad));
+            found.extend(self.read(image, view, light, square));
         }
         let order = |a: &MarkerInView, b: &MarkerInView| {
             let likelier = b.log_odds.total_cmp(&a.log_odds);
@@ -176,9 +177,9 @@ impl Detector {
         image: &LumaImage<'_>,
         view: &View,
         light: &LinearLight,
-        quad: &Quad,
+        square: &Square,
     ) -> Option<MarkerInView> {
-        let near = approach_corners(image, light, quad, self.dictionary.bits() + 2)?;
+        let near = approach_corners(image, light, &square.corners, self.dictionary.bits() + 2)?;
         if mean_side_px(&near) < self.parameters.min_side_px {
             return None;
         }
@@ -210,10 +211,12 @@ impl Detector {
         // Where a shadow or something else spoils the fit, the reading of the outline may be enough.
         // The corner that is hidden may lie elsewhere.
         let found = by_fit.or_else(|| {
-            let by_outline = accepted(&corners, [UNREFINED_PX; 4], UNREFINED_MISFIT)?;
+            let sigma_px = square.accuracy_px.max(UNREFINED_PX);
             let guesses = (0..4).filter(|_| !is_fitted);
             let mut guesses = guesses.map(|k| with_parallelogram_corner(&corners, k));
-            guesses.find_map(|guess| fit(&guess)).and_then(accepted_fit).or(Some(by_outline))
+            let by_outline = accepted(&corners, [sigma_px; 4], UNREFINED_MISFIT)?;
+            let by_guess = guesses.find_map(|guess| fit(&guess)).and_then(accepted_fit);
+            by_guess.or(Some(by_outline))
         })?;
         is_square(&found.rays_in_camera, &found.deviations_rad).then_some(found)
     }
@@ -306,7 +309,7 @@ pub(crate) fn found_at(
         corners_in_view,
         rays_in_camera: corners_in_view.map(|corner| view.ray(corner)),
         deviations_rad: std::array::from_fn(|k| {
-            deviations_px[k].min(UNREFINED_PX) * radians_per_pixel(view, corners_in_view[k])
+            deviations_px[k] * radians_per_pixel(view, corners_in_view[k])
         }),
         is_refined: false,
         log_odds: 0.0,

@@ -61,21 +61,26 @@ const FINE: Window = (7.0, DarkerBy::Codes(4));
 /// Finds bright markers.
 const COARSE: Window = (31.0, DarkerBy::Codes(10));
 
+/// Finds markers whose corners touch something dark. Where both meet, blur makes a bridge that is
+/// hardly darker than the mean.
+const TOUCHING: Window = (7.0, DarkerBy::Percent(30));
+
 /// Windows for proposals, finest first. On drawn markers of 14 to 30 px, in a hall and in a panorama, these two
 /// have the most detections for their time: see docs/results/constants.md#threshold-windows.
 const PROPOSAL_WINDOWS: &[Window] = &[FINE, COARSE];
 
-/// Windows for tiles, finest first. The two in the middle are taken where time does not matter. The
-/// narrower one finds markers in pictures that are far too dark, where white is only some code
-/// values brighter than black; the other one finds markers that shadows cross.
+/// Windows for tiles, finest first. Those between the first and the last are taken where time does
+/// not matter. The one of 15 px finds markers in pictures that are far too dark, where white is only
+/// some code values brighter than black; the next one finds markers that shadows cross.
 const TILE_WINDOWS: &[Window] =
-    &[FINE, (15.0, DarkerBy::Codes(4)), (31.0, DarkerBy::Percent(30)), COARSE];
+    &[FINE, TOUCHING, (15.0, DarkerBy::Codes(4)), (31.0, DarkerBy::Percent(30)), COARSE];
 
 /// Windows for regions of interest, finest first. These views are few and small, and a neighbour is
 /// expected in them, so more passes are worth their time.
 const REGION_WINDOWS: &[Window] = &[
     (5.5, DarkerBy::Codes(4)),
     (7.5, DarkerBy::Codes(4)),
+    TOUCHING,
     (15.0, DarkerBy::Codes(6)),
     (31.0, DarkerBy::Percent(30)),
     COARSE,
@@ -122,19 +127,19 @@ mod tests {
     #[test]
     fn each_way_to_search_has_its_windows() {
         for kind in [ViewKind::Partition, ViewKind::HighResolution] {
-            assert_eq!(windows_px(kind, Search::AllWindows, 1.0), [7, 15, 31, 31]);
+            assert_eq!(windows_px(kind, Search::AllWindows, 1.0), [7, 7, 15, 31, 31]);
             assert_eq!(windows_px(kind, Search::FineWindow, 1.0), [7]);
             assert_eq!(windows_px(kind, Search::CoarseWindow, 1.0), [31]);
             assert!(windows_px(kind, Search::Nothing, 1.0).is_empty());
         }
         assert_eq!(windows_px(ViewKind::Proposal, Search::AllWindows, 1.0), [7, 31]);
-        assert_eq!(windows_px(ViewKind::Roi, Search::AllWindows, 1.0), [5, 7, 15, 31, 31]);
+        assert_eq!(windows_px(ViewKind::Roi, Search::AllWindows, 1.0), [5, 7, 7, 15, 31, 31]);
         assert_eq!(windows_px(ViewKind::Roi, Search::FineWindow, 1.0), [5]);
     }
 
     #[test]
     fn windows_grow_with_the_magnification_and_stay_odd() {
-        assert_eq!(windows_px(ViewKind::Partition, Search::AllWindows, 2.0), [15, 31, 63, 63]);
+        assert_eq!(windows_px(ViewKind::Partition, Search::AllWindows, 2.0), [15, 15, 31, 63, 63]);
         for magnification in [0.0, 1e-9, 0.7, 3.3, 1e12, f64::INFINITY, f64::NAN] {
             let windows = windows_px(ViewKind::Roi, Search::AllWindows, magnification);
             let is_allowed = |window: &usize| window % 2 == 1 && (1..=1001).contains(window);

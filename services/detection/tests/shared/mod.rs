@@ -1,5 +1,7 @@
 //! What the tests share: recordings with ground truth, and views cut from them.
 
+#![allow(dead_code, reason = "not every test needs all of it")]
+
 use flockeye_geometry::camera::Equirectangular;
 use flockeye_geometry::view::{View, ViewPixel};
 use flockeye_imaging::image::LumaImage;
