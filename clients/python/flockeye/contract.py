@@ -250,7 +250,7 @@ class PlanHeader(Contract):
         ("stop_rule", c_uint32),
         ("mode", c_uint32),
         ("view_budget", c_uint32),
-        ("reserved", c_uint32),
+        ("gamma", c_float),
     ]
 
 

@@ -101,7 +101,7 @@ impl Meaning<'_> {
         if let Some(fault) = fault {
             self.problem(&fault.key, fault.reason);
         }
-        if pipeline.camera.response == Transfer::Table
+        if pipeline.camera.response == Some(Transfer::Table)
             && let Err(fault) = resolve::response_table(&pipeline.camera)
         {
             self.problem(&fault.key, fault.reason);

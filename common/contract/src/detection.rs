@@ -52,7 +52,8 @@ pub struct DetectedMarker {
     /// Unit rays of the corners in the camera frame, in ArUco's order (clockwise from the printed
     /// pattern's top left).
     pub rays_in_camera: [[f64; 3]; 4],
-    /// Standard deviation of each ray, perpendicular to it, radians.
+    /// Standard deviation of each ray, perpendicular to it, radians. The error of the camera's model,
+    /// `camera.lens_error_px`, is part of it.
     pub deviations: [f64; 4],
     /// The same corners in the view, pixels, (0, 0) the centre of the first.
     pub corners_in_view: [[f32; 2]; 4],

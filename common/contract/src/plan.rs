@@ -5,8 +5,10 @@ use flockeye_contract_derive::Described;
 use iceoryx2::prelude::ZeroCopySend;
 
 use crate::error::{check_count, check_unit};
-use crate::frame::MAX_SIDE_PX;
-use crate::{ContractError, FrameStamp, NONE, Pose, Search, SearchMode, StopRule, ViewKind};
+use crate::frame::{MAX_SIDE_PX, check_curve};
+use crate::{
+    ContractError, FrameStamp, NONE, Pose, Range, Search, SearchMode, StopRule, Transfer, ViewKind,
+};
 
 /// Header of a plan. Payload: its [`PlannedView`]s, in the order of cutting.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable, ZeroCopySend, Described)]
@@ -30,8 +32,9 @@ pub struct PlanHeader {
     pub mode: u32,
     /// Number of views to cut in a lossless run with the rule `deadline`.
     pub view_budget: u32,
-    /// Keeps the size a multiple of 8; zero.
-    pub reserved: u32,
+    /// Exponent of the camera's response, where fusion has learned that the frames' own one is wrong:
+    /// the views then have transfer `gamma` with it. Otherwise 0.
+    pub gamma: f32,
 }
 
 /// One view that a plan requests.
@@ -78,6 +81,9 @@ impl PlanHeader {
     pub fn check(&self, views: &[PlannedView]) -> Result<(), ContractError> {
         StopRule::try_from(self.stop_rule)?;
         SearchMode::try_from(self.mode)?;
+        if self.gamma != 0.0 {
+            check_curve(Transfer::Gamma.code(), self.gamma, Range::Full.code())?;
+        }
         check_count("views in a plan", views.len(), MAX_PLANNED_VIEWS)?;
         views.iter().try_for_each(PlannedView::check)
     }

@@ -29,6 +29,20 @@ pub enum CodeRange {
     Limited,
 }
 
+impl CodeRange {
+    /// A code value between black, 0, and nominal white, 1.
+    fn value(self, code: f64) -> f64 {
+        match self {
+            Self::Full => code / 255.0,
+            Self::Limited => (code - 16.0) / 219.0,
+        }
+    }
+}
+
+/// Least gamma of a camera, and the largest: see [`LinearLight::gamma_seen`].
+const LEAST_GAMMA: f64 = 0.4;
+const MOST_GAMMA: f64 = 4.0;
+
 /// Reason why a curve cannot be inverted.
 #[allow(missing_docs, reason = "the messages say what each is")]
 #[derive(Debug, Clone, Copy, PartialEq, Error)]
@@ -45,6 +59,7 @@ pub enum LightError {
 #[derive(Debug, Clone, PartialEq)]
 pub struct LinearLight {
     table: [f32; 256],
+    range: CodeRange,
 }
 
 impl LinearLight {
@@ -61,13 +76,10 @@ impl LinearLight {
         }
         let mut table = [0.0; 256];
         for (code, light) in (0u16..).zip(&mut table) {
-            let value = match range {
-                CodeRange::Full => f64::from(code) / 255.0,
-                CodeRange::Limited => (f64::from(code) - 16.0) / 219.0,
-            };
+            let value = range.value(f64::from(code));
             *light = (undo(curve, value.abs()) * value.signum()) as f32;
         }
-        Ok(Self { table })
+        Ok(Self { table, range })
     }
 
     /// Creates the table of a measured response: the radiance of each code value, up to a common
@@ -83,7 +95,7 @@ impl LinearLight {
             }
             before = light;
         }
-        Ok(Self { table })
+        Ok(Self { table, range: CodeRange::Full })
     }
 
     /// Radiance of `code`.
@@ -122,6 +134,33 @@ impl LinearLight {
         let curvature = (light - 2.0 * middle + dark) / (step * step);
         // By the inverse function: with L = d(c), -L c''/c' = L d''/d'^2.
         if slope > 0.0 { middle * curvature / (slope * slope) } else { 0.0 }
+    }
+
+    /// The gamma with which black and white are as far from the radiance between them as they look.
+    ///
+    /// `black` and `white` are radiances by this table, and the apparent middle between both is off
+    /// by a quarter of `bend` times their difference. `None` where no gamma from 0.4 to 4 explains
+    /// that, or codes are not those of black and white.
+    pub(crate) fn gamma_seen(&self, [black, white]: [f64; 2], bend: f64) -> Option<f64> {
+        // A fitted level beyond white is no measured one.
+        if white > f64::from(self.of(u8::MAX)) {
+            return None;
+        }
+        let seen = (black + white) / 2.0 + bend * (white - black) / 4.0;
+        let [black, seen, white] =
+            [black, seen, white].map(|radiance| self.range.value(self.code_of(radiance)).max(0.0));
+        let share = |gamma: f64| {
+            let [black, seen, white] = [black, seen, white].map(|value| value.powf(gamma));
+            (seen - black) / (white - black)
+        };
+        let (mut low, mut high) = (LEAST_GAMMA, MOST_GAMMA);
+        // A larger gamma makes the middle darker. False for a NaN.
+        let is_between = share(low) > 0.5 && share(high) < 0.5;
+        while is_between && high - low > 1e-4 {
+            let middle = (low + high) / 2.0;
+            *(if share(middle) > 0.5 { &mut low } else { &mut high }) = middle;
+        }
+        is_between.then_some((low + high) / 2.0)
     }
 
     /// The radiance at a point between pixels, interpolated bilinearly between linear values.
@@ -193,7 +232,7 @@ mod tests {
             for range in [CodeRange::Full, CodeRange::Limited] {
                 let light = LinearLight::new(curve, range).unwrap();
                 assert!(light.table().windows(2).all(|pair| pair[0] < pair[1]), "{curve:?}");
-                assert_eq!(LinearLight::from_table(*light.table()).as_ref(), Ok(&light));
+                assert_eq!(LinearLight::from_table(*light.table()).unwrap().table(), light.table());
             }
         }
     }
@@ -208,6 +247,30 @@ mod tests {
         assert!(srgb.between(-10.0) < 0.0 && srgb.between(260.0) > 1.0);
         let flat = LinearLight::from_table([0.5; 256]).unwrap();
         assert!(flat.code_of(0.5).is_finite() && flat.between(3.3) == 0.5);
+    }
+
+    #[test]
+    fn a_wrong_curve_gives_the_right_gamma() {
+        let table = |curve| LinearLight::new(curve, CodeRange::Full).unwrap();
+        let (srgb, linear) = (table(TransferCurve::Srgb), table(TransferCurve::Linear));
+        for (assumed, actual, gamma) in [
+            (&srgb, &linear, 1.0..1.001),
+            (&linear, &linear, 0.999..1.001),
+            (&srgb, &srgb, 2.0..2.3),
+            (&linear, &srgb, 2.0..2.3),
+            (&linear, &table(TransferCurve::Gamma(1.7)), 1.69..1.71),
+        ] {
+            let levels = [0.05, 0.6].map(|light| assumed.between(actual.code_of(light)));
+            let middle = assumed.between(actual.code_of(0.325));
+            let bend = 4.0 * (middle - (levels[0] + levels[1]) / 2.0) / (levels[1] - levels[0]);
+            let seen = assumed.gamma_seen(levels, bend).unwrap();
+            assert!(gamma.contains(&seen), "{seen}, not {gamma:?}");
+        }
+        for (levels, bend) in
+            [([0.5, 0.5], 0.1), ([0.1, 0.6], 3.0), ([0.1, 1.2], 0.0), ([0.1, 0.6], f64::NAN)]
+        {
+            assert_eq!(srgb.gamma_seen(levels, bend), None, "{levels:?} {bend}");
+        }
     }
 
     #[test]

@@ -6,6 +6,7 @@ use flockeye_contract::{
 };
 use flockeye_convert::{RadianceCache, image_of, view_of};
 use flockeye_geometry::body::Bodies;
+use flockeye_geometry::pose::LensError;
 use flockeye_imaging::edges::CornerFit;
 
 use crate::detector::MarkerInView;
@@ -23,6 +24,8 @@ pub struct Core {
     engine: Engine,
     bodies: Bodies,
     lights: RadianceCache,
+    /// The error of the camera's model, which corners have in addition to their own.
+    lens: LensError,
     /// The sphere image's own resolution.
     pixels_per_radian: f64,
     worker: u32,
@@ -52,6 +55,7 @@ impl Core {
             engine,
             bodies: bodies.clone(),
             lights: RadianceCache::new(resolved.measured_response)?,
+            lens: resolved.lens_error(),
             pixels_per_radian: resolved.camera.pixels_per_radian(),
             worker,
             generation,
@@ -86,6 +90,8 @@ impl Core {
             failed: u32::from(found.is_err()),
             ..DetectionHeader::answering(header)
         };
+        let lens = self.lens;
+        let detected = |found: &MarkerInView| detected(found, lens);
         Some((header, found.map(|found| found.iter().map(detected).collect())))
     }
 
@@ -103,10 +109,10 @@ impl Core {
     }
 }
 
-fn detected(found: &MarkerInView) -> DetectedMarker {
+fn detected(found: &MarkerInView, lens: LensError) -> DetectedMarker {
     DetectedMarker {
         rays_in_camera: found.rays_in_camera.map(|ray| [ray.x, ray.y, ray.z]),
-        deviations: found.deviations_rad,
+        deviations: found.deviations_rad.map(|deviation_rad| lens.with(deviation_rad)),
         corners_in_view: found.corners_in_view.map(|corner| [corner.0.x as f32, corner.0.y as f32]),
         id: found.id,
         reserved: 0,

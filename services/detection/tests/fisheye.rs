@@ -124,7 +124,13 @@ fn a_board_whose_markers_touch_black_squares_is_read() {
     let mut errors_px: Vec<f64> = errors_px.into_values().flatten().collect();
     errors_px.sort_by(f64::total_cmp);
     let at = |share: f64| errors_px[((errors_px.len() - 1) as f64 * share) as usize];
-    println!("{markers} of {}, {:.2} {:.2} {:.2} px", references.len(), at(0.5), at(0.95), at(0.99));
+    println!(
+        "{markers} of {}, {:.2} {:.2} {:.2} px",
+        references.len(),
+        at(0.5),
+        at(0.95),
+        at(0.99)
+    );
     assert!(markers >= 196, "{markers} of {}", references.len());
     // The reference itself is known to 0.1 to 0.26 px.
     assert!(at(0.5) < 0.19 && at(0.95) < 0.45, "{} and {}", at(0.5), at(0.95));

@@ -57,10 +57,11 @@ impl<P: AsRef<[u8]>> Core<P> {
     pub(crate) fn new(
         schedule: Schedule,
         frames: Frames<P>,
-        reader: PictureReader,
+        mut reader: PictureReader,
         tracker: Tracker,
         planner: Planner,
     ) -> Self {
+        reader.response_sigma = tracker.camera.response.sigma();
         Self {
             schedule,
             frames,
@@ -94,15 +95,16 @@ impl<P: AsRef<[u8]>> Core<P> {
     pub(crate) fn snapshot(&self) -> Snapshot {
         let published = |target| self.frames.last_published(target);
         let (targets, ego, exposure) = self.tracker.saved(published);
+        let response = self.tracker.response().learned();
         let ended = self.tracker.ended.map(|(order, _)| order).max(self.frames.last_complete);
-        Snapshot { ended, targets, ego, exposure, planning: self.planning.clone() }
+        Snapshot { ended, targets, ego, exposure, response, planning: self.planning.clone() }
     }
 
     /// Continues from another process's snapshot, and returns the names of the bodies whose tracks
     /// continue. It is called before the first event. Published poses are not published again in
     /// any case.
     pub(crate) fn resume(&mut self, snapshot: Snapshot) -> Vec<String> {
-        let Snapshot { ended, targets, ego, exposure, planning } = snapshot;
+        let Snapshot { ended, targets, ego, exposure, response, planning } = snapshot;
         self.frames.begin_after(ended);
         for saved in &targets {
             let mut names = self.tracker.targets().iter().map(|target| &target.body.name);
@@ -111,6 +113,8 @@ impl<P: AsRef<[u8]>> Core<P> {
             }
         }
         self.planning.resume(planning);
+        self.tracker.camera.response.resume(response);
+        self.reader.response_sigma = self.tracker.camera.response.sigma();
         self.tracker.resume(targets, ego, exposure)
     }
 
@@ -370,6 +374,9 @@ impl<P: AsRef<[u8]>> Core<P> {
         let Some(frame) = self.frames.end(order) else { return };
         let at_s = frame.stamp.exposure_s();
         self.tracker.end_frame(order, at_s, &frame.parts);
+        let surprise = self.tracker.camera.response.end_frame();
+        self.notices.extend(surprise.map(Notice::Response));
+        self.reader.response_sigma = self.tracker.camera.response.sigma();
         // Views that arrived were already recorded.
         self.planning.end_frame(at_s, frame.purposes_without_view(), frame.first_hit());
         outputs.tracks.push(TrackMessage::last_of(frame.stamp));

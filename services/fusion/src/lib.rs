@@ -57,6 +57,7 @@ mod policy;
 mod readout;
 mod record;
 mod refusal;
+mod response;
 mod schedule;
 mod settings;
 mod snapshot;

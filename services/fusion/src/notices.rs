@@ -6,8 +6,10 @@ use std::mem::{Discriminant, discriminant};
 use flockeye_runtime::health::SharedCounters;
 use flockeye_runtime::logs::Throttle;
 
+use crate::response::Surprise;
+
 /// Notice to the operator.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq)]
 pub(crate) enum Notice {
     /// A worker's rays do not match its corners, so its markers were left out.
     RaysDisagree {
@@ -23,6 +25,8 @@ pub(crate) enum Notice {
     Incomplete { sequence: u64 },
     /// A record came too late.
     LateRecord,
+    /// The bodies' print shows another response of the camera than the one in use.
+    Response(Surprise),
     /// An impossible message, with the reason.
     Refused(String),
 }
@@ -76,6 +80,23 @@ impl Notice {
                         frame = sequence,
                         more_since = more,
                         "a frame was not ended in time: rectification or detection does not answer"
+                    );
+                }
+            }
+            Self::Response(Surprise { seen: (gamma, deviation), used, taken: Some(taken) }) => {
+                tracing::info!(
+                    "the bodies' print shows a camera with a gamma of {gamma:.2} +- {deviation:.2} (1 is linear, \
+                     2.2 is sRGB), and {used:.1} was assumed: {taken:.1} is used from now on. \
+                     Cure: state camera.response"
+                );
+            }
+            Self::Response(Surprise { seen: (gamma, deviation), used, taken: None }) => {
+                if let Some(more) = throttle.admit() {
+                    tracing::warn!(
+                        more_since = more,
+                        "the bodies' print shows a camera with a gamma of {gamma:.2} +- {deviation:.2} (1 is \
+                         linear, 2.2 is sRGB), but the configuration states {used:.1}: edges of markers seem \
+                         shifted. Cure: correct camera.response, or leave it out"
                     );
                 }
             }

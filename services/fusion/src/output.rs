@@ -162,7 +162,7 @@ impl Writer {
         after: Option<FrameStamp>,
         now_ns: i64,
     ) -> (PlanHeader, Vec<contract::PlannedView>) {
-        let NextPlan { plan_id, plan, predictions, unsearched } = next;
+        let NextPlan { plan_id, plan, predictions, unsearched, gamma } = next;
         let reference_s = predictions.values().next().map_or(0.0, |first| first.stamp_s);
         let reference_ns = nanoseconds(reference_s);
         let views = plan.views.iter().take(contract::MAX_PLANNED_VIEWS).map(|planned| {
@@ -181,7 +181,7 @@ impl Writer {
             stop_rule: stop_rule(plan.stop_rule).code(),
             mode: self.mode.code(),
             view_budget: plan.view_budget as u32,
-            ..PlanHeader::default()
+            gamma: gamma.map_or(0.0, |gamma| gamma as f32),
         };
         (header, views.collect())
     }

@@ -16,6 +16,8 @@ pub(crate) struct PictureReader {
     lights: RadianceCache,
     pixels_per_radian: f64,
     parallax: Option<Parallax>,
+    /// Standard deviation of the camera's response; see [`Picture::response_sigma`].
+    pub(crate) response_sigma: f64,
 }
 
 impl PictureReader {
@@ -26,7 +28,7 @@ impl PictureReader {
         pixels_per_radian: f64,
         parallax: Option<Parallax>,
     ) -> Self {
-        Self { lights, pixels_per_radian, parallax }
+        Self { lights, pixels_per_radian, parallax, response_sigma: 0.0 }
     }
 
     /// The best views of a frame's targets.
@@ -81,12 +83,15 @@ impl PictureReader {
     }
 
     fn read<'c>(&'c self, header: &ViewHeader, pixels: &'c [u8]) -> Option<BestView<'c>> {
-        let picture = Picture::still(
-            image_of(header, pixels).ok()?,
-            view_of(header),
-            self.lights.known(header)?,
-            self.pixels_per_radian,
-        );
+        let picture = Picture {
+            response_sigma: self.response_sigma,
+            ..Picture::still(
+                image_of(header, pixels).ok()?,
+                view_of(header),
+                self.lights.known(header)?,
+                self.pixels_per_radian,
+            )
+        };
         let parallax = self.parallax.as_ref();
         let rays_m = parallax.map_or(f64::INFINITY, |parallax| parallax.distance_m(Some(header)));
         Some(BestView { picture, view_index: header.view_index, rays_m })

@@ -34,6 +34,8 @@ pub struct NextPlan {
     pub(crate) predictions: BTreeMap<usize, MotionEstimate>,
     /// Targets whose regions of interest need not be searched for markers.
     pub(crate) unsearched: BTreeSet<usize>,
+    /// The learned exponent of the camera's response.
+    pub(crate) gamma: Option<f64>,
 }
 
 impl Planning {
@@ -100,7 +102,8 @@ impl Planning {
         let plan = planner.plan(&self.searched, &predicted);
         let targets = 0..tracker.targets().len();
         let unsearched = targets.filter(|&target| tracker.needs_no_markers(target)).collect();
-        NextPlan { plan_id, plan, predictions, unsearched }
+        let gamma = tracker.camera.response.gamma();
+        NextPlan { plan_id, plan, predictions, unsearched, gamma }
     }
 }
 

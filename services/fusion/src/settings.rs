@@ -9,7 +9,6 @@ use flockeye_convert::RadianceCache;
 use flockeye_dictionary::Dictionary;
 use flockeye_geometry::camera::CameraModel;
 use flockeye_geometry::filter::{MotionModel, TrackPolicy};
-use flockeye_geometry::pose::LensError;
 use flockeye_geometry::search::{PlanOrder, Planner};
 use flockeye_imaging::align::VIDEO_COVARIANCE_SCALE;
 use flockeye_runtime::memory;
@@ -21,6 +20,7 @@ use crate::measure::background::BackgroundSlot;
 use crate::output::{CameraMount, Writer};
 use crate::parallax::Parallax;
 use crate::pictures::PictureReader;
+use crate::response::{ResponseEstimate, Stated};
 use crate::schedule::{Schedule, VirtualClock};
 use crate::tracker::Tracker;
 
@@ -65,8 +65,12 @@ pub fn configured<P: AsRef<[u8]>>(
     let exposure_s = pipeline.exposure_s();
     let mut tracker = Tracker::new(bodies, filter, aligner.clone(), threads, exposure_s);
     tracker.camera.parallax = parallax.clone();
-    let lens = LensError { deviation_rad: pipeline.lens_error_px() / camera.pixels_per_radian() };
-    tracker.camera.lens = lens;
+    let (transfer, gamma) = resolved.transfer;
+    let is_simulated = pipeline.source.stage() == contract::StageName::Simulator;
+    tracker.camera.response = ResponseEstimate::new(match pipeline.learns_response() {
+        true => Stated::Nothing,
+        false => Stated::of(transfer, gamma, is_simulated),
+    });
     let readout_s = pipeline.camera.readout_ms * 1e-3;
     tracker.camera.readout = (readout_s > 0.0).then_some((*camera, readout_s));
     tracker.background = has_background.then(BackgroundSlot::default);
@@ -101,7 +105,10 @@ pub fn configured<P: AsRef<[u8]>>(
     };
     let writer = Writer {
         bodies: bodies.clone(),
-        mount: CameraMount { observer_from_camera: *observer_from_camera, lens },
+        mount: CameraMount {
+            observer_from_camera: *observer_from_camera,
+            lens: resolved.lens_error(),
+        },
         flow: pipeline.flow(),
         mode: pipeline.search.mode,
         generation,

@@ -9,7 +9,6 @@ use flockeye_geometry::body::Bodies;
 use flockeye_geometry::camera::Camera;
 use flockeye_geometry::ego_rotation::EgoRotation;
 use flockeye_geometry::filter::{HISTORY_S, TrackPolicy};
-use flockeye_geometry::pose::LensError;
 
 use crate::account::{AccountEntry, Pass, Trial};
 use crate::aligner::Aligner;
@@ -22,6 +21,7 @@ use crate::measure::{AnsweredView, BestViews, FrameTime, distinct_decoded};
 use crate::measurement::{PoseMeasurement, decoded_rays};
 use crate::parallax::Parallax;
 use crate::policy::TimeBudget;
+use crate::response::{ResponseEstimate, Stated};
 use crate::schedule::Attempts;
 use crate::target::{Target, TargetEstimate, Update};
 
@@ -30,10 +30,9 @@ pub(crate) struct CameraState {
     /// Its rotation.
     ego: EgoRotation,
     exposure: ExposureEstimate,
+    pub(crate) response: ResponseEstimate,
     /// Corrects rays and poses to their distances; `None` if all lenses lie at the camera's centre.
     pub(crate) parallax: Option<Parallax>,
-    /// The error of its lens model.
-    pub(crate) lens: LensError,
     /// Its model, and the time from its first to its last row, seconds; `None` where all rows are
     /// exposed at once.
     pub(crate) readout: Option<(Camera, f64)>,
@@ -79,8 +78,8 @@ impl Tracker {
                 // Predictions reach back to the last measurement, but not farther than this.
                 ego: EgoRotation::new(policy.motion.longest_step_s + HISTORY_S),
                 exposure: ExposureEstimate::new(exposure_s, aligner.pixels_per_radian),
+                response: ResponseEstimate::new(Stated::Exactly),
                 parallax: None,
-                lens: LensError::default(),
                 readout: None,
             },
             aligner,
@@ -94,6 +93,11 @@ impl Tracker {
     /// The targets, by their numbers.
     pub fn targets(&self) -> &[Target] {
         &self.targets
+    }
+
+    /// The camera's response.
+    pub(crate) fn response(&self) -> &ResponseEstimate {
+        &self.camera.response
     }
 
     /// The attempts since the last call.
@@ -247,6 +251,14 @@ impl Tracker {
         self.note(order, target, AccountEntry::Ran(Trial { outcome, ..trial }));
     }
 
+    /// Records what a measurement shows of the camera's response.
+    fn note_response(&mut self, target: usize, trial: &Trial) {
+        let chosen = trial.decision.chosen_of(&trial.hypotheses);
+        if let Some(seen) = chosen.and_then(|found| found.response) {
+            self.camera.response.note(target, seen);
+        }
+    }
+
     /// Handles and records the measurement of a pass over a target.
     fn take_in_trial(
         &mut self,
@@ -257,6 +269,7 @@ impl Tracker {
         trial: Trial,
     ) -> Option<Update> {
         let (update, outcome) = self.take_in(time, target, part, measurement);
+        self.note_response(target, &trial);
         self.note_trial(time.order, target, trial, outcome);
         update
     }

@@ -103,6 +103,13 @@ fn plan(resolved: &Resolved, budget: &Budget) -> anyhow::Result<String> {
         pipeline.lens_error_px(),
         if camera.lens_error_px.is_some() { "camera.lens_error_px" } else { "assumed" }
     )?;
+    let (curve, _) = resolved.transfer;
+    let response = match (pipeline.learns_response(), camera.response) {
+        (true, _) => "assumed until the bodies' print shows it; camera.response states it",
+        (false, Some(_)) => "camera.response",
+        (false, None) => "the simulator's",
+    };
+    writeln!(text, "response {} ({response})", curve.name())?;
     let mask = resolved.mask()?;
     let hidden = views.iter().filter(|view| mask.hides_view(view)).count();
     if let Some(path) = &camera.mask {

@@ -12,7 +12,7 @@ use std::time::Duration;
 use flockeye_config::{Flow, Resolved};
 use flockeye_contract::{
     DetectionHeader, FrameEnd, FrameHeader, FrameOrder, PlanHeader, PlannedView, StopReason,
-    StopRule, ViewHeader,
+    StopRule, Transfer, ViewHeader,
 };
 use flockeye_geometry::camera::Camera;
 use flockeye_geometry::search::MAX_FRAMES_WITHOUT_TILE;
@@ -230,11 +230,14 @@ impl<F> Core<F> {
         Some(Action::TakeUp { frame: header.stamp.order(), likely })
     }
 
-    fn job_for(&self, header: FrameHeader, now_ns: i64) -> FrameJob {
+    fn job_for(&self, mut header: FrameHeader, now_ns: i64) -> FrameJob {
         let is_live = |plan: &PlanHeader| {
             self.flow == Flow::Lossless || now_ns - plan.made_ns < STALE_PLAN_NS
         };
         if let Some((plan, views)) = self.plan.as_ref().filter(|(plan, _)| is_live(plan)) {
+            if plan.gamma > 0.0 {
+                (header.transfer, header.gamma) = (Transfer::Gamma.code(), plan.gamma);
+            }
             // The plan was checked when it was received, so its rule is valid.
             let rule = StopRule::try_from(plan.stop_rule).unwrap_or(StopRule::Deadline);
             let budget = match self.clock.is_unlimited() {

@@ -105,10 +105,19 @@ fn poses_behind_a_real_fisheye_are_off_by_what_they_state() {
     let lens = folder.join("lens.yaml");
     let truth = std::fs::read_to_string(folder.join("truth.csv")).expect("the truth is there");
     let truth: Vec<Isometry3<f64>> = truth.lines().skip(1).map(true_pose).collect();
-    for response in ["camera.response=srgb", "camera.response=linear"] {
+    // Nobody says that the camera is linear, or somebody does so wrongly, or rightly.
+    for (response, says) in [
+        ("camera.response=", Some("1.0 is used from now on")),
+        ("camera.response=srgb", Some("but the configuration states 2.2")),
+        ("camera.response=linear", None),
+    ] {
         let (images, bodies) = (folder.join("images"), folder.join("bodies.json"));
         let set = ["profile=stills", response];
         let (poses, output) = fly_with("tumvi", Some(&lens), &images, &bodies, &set);
+        match says {
+            Some(says) => assert!(output.contains(says), "{response}: {output}"),
+            None => assert!(!output.contains("the bodies' print shows"), "{output}"),
+        }
         assert_eq!(poses.len(), truth.len(), "{output}");
         let mut nees = Vector2::zeros();
         for row in &poses {
@@ -125,8 +134,9 @@ fn poses_behind_a_real_fisheye_are_off_by_what_they_state() {
             nees += Vector2::new(squared(position, 0), squared(turn, 3)) / poses.len() as f64;
         }
         println!("{response}: NEES of position and rotation {nees}");
-        // 3 is right. Without the lens's error the position has 15 and 39.
-        assert!(nees.max() < 4.0 && nees.min() > 0.3, "{response}: {nees}");
+        // 3 is right. Without the lens's error the position has 20 to 150. This lens is better than
+        // 0.3 px, so its rotations are stated cautiously.
+        assert!(nees.max() < 4.0 && nees.x > 0.3 && nees.y > 0.2, "{response}: {nees}");
     }
 }
 

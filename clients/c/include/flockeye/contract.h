@@ -293,7 +293,7 @@ typedef struct {
     uint32_t stop_rule;
     uint32_t mode;
     uint32_t view_budget;
-    uint32_t reserved;
+    float gamma;
 } flockeye_plan_header;
 static_assert(sizeof(flockeye_plan_header) == 80, "PlanHeader");
 static_assert(offsetof(flockeye_plan_header, after) == 0, "PlanHeader.after");
@@ -304,7 +304,7 @@ static_assert(offsetof(flockeye_plan_header, generation) == 60, "PlanHeader.gene
 static_assert(offsetof(flockeye_plan_header, stop_rule) == 64, "PlanHeader.stop_rule");
 static_assert(offsetof(flockeye_plan_header, mode) == 68, "PlanHeader.mode");
 static_assert(offsetof(flockeye_plan_header, view_budget) == 72, "PlanHeader.view_budget");
-static_assert(offsetof(flockeye_plan_header, reserved) == 76, "PlanHeader.reserved");
+static_assert(offsetof(flockeye_plan_header, gamma) == 76, "PlanHeader.gamma");
 
 /* In iceoryx2: flockeye/PlannedView. */
 typedef struct {

@@ -79,10 +79,10 @@ pub(crate) fn simulated_camera(pipeline: &Pipeline) -> Result<Camera, SettingErr
     })
 }
 
-/// Transfer curve of the camera, and its gamma where it has one.
+/// Transfer curve of the camera, and its gamma where it has one. It is sRGB where none is stated.
 pub(crate) fn transfer(settings: &CameraSettings) -> (Transfer, f32) {
-    let has_gamma = settings.response == Transfer::Gamma;
-    (settings.response, if has_gamma { settings.gamma } else { 0.0 })
+    let response = settings.response.unwrap_or(Transfer::Srgb);
+    (response, if response == Transfer::Gamma { settings.gamma } else { 0.0 })
 }
 
 /// The radiance of each code if the camera's response is a measured table; `None` for the curves
@@ -94,8 +94,8 @@ pub(crate) fn measured_response(
     settings: &CameraSettings,
 ) -> Result<Option<[f32; 256]>, SettingError> {
     match settings.response {
-        Transfer::Table => response_table(settings).map(Some),
-        Transfer::Srgb | Transfer::Gamma | Transfer::Linear => Ok(None),
+        Some(Transfer::Table) => response_table(settings).map(Some),
+        Some(Transfer::Srgb | Transfer::Gamma | Transfer::Linear) | None => Ok(None),
     }
 }
 

@@ -13,6 +13,7 @@ use flockeye_contract::Transfer;
 use flockeye_geometry::body::Bodies;
 use flockeye_geometry::camera::Camera;
 use flockeye_geometry::mask::Mask;
+use flockeye_geometry::pose::LensError;
 use flockeye_geometry::search::{ROI_SIZE_MAX_PX, RoiOptions};
 use flockeye_geometry::view::View;
 use nalgebra::Isometry3;
@@ -133,6 +134,11 @@ impl Resolved {
     /// Lenses that no camera has.
     pub fn simulated_camera(&self) -> Result<Camera, SettingError> {
         simulated_camera(&self.pipeline)
+    }
+
+    /// The error of the camera's model.
+    pub fn lens_error(&self) -> LensError {
+        LensError { deviation_rad: self.pipeline.lens_error_px() / self.camera.pixels_per_radian() }
     }
 
     /// Pixels along the side of the largest view that this pipeline cuts.

@@ -43,8 +43,9 @@ pub struct CameraSettings {
     /// A PNG image of the frames' size, black where the own airframe always hides the view; left out:
     /// everything is visible.
     pub mask: Option<PathBuf>,
-    /// The curve between light and code values.
-    pub response: Transfer,
+    /// The curve between light and code values. Left out: sRGB for the simulator. For other sources it is
+    /// learned from the print of the bodies that are seen, and sRGB until then.
+    pub response: Option<Transfer>,
     /// Exponent of `response: gamma`.
     #[schemars(range(min = 0.1, max = 10.0))]
     pub gamma: f32,
@@ -76,7 +77,7 @@ impl Default for CameraSettings {
             lens_error_px: None,
             assumed_distance_m: 1.5,
             mask: None,
-            response: Transfer::Srgb,
+            response: None,
             gamma: 2.2,
             response_table: Vec::new(),
             latency_ms: 0.0,

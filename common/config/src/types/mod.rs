@@ -122,6 +122,11 @@ impl Pipeline {
         self.camera.lens_error_px.unwrap_or(usual)
     }
 
+    /// Whether the camera's response is learned, because nobody states it.
+    pub fn learns_response(&self) -> bool {
+        self.camera.response.is_none() && self.source.stage() != StageName::Simulator
+    }
+
     /// Whether an inertial sensor is configured, wherever its samples come from.
     pub fn has_inertial_sensor(&self) -> bool {
         !matches!(self.inertial.parsed_source(), Ok(InertialSource::None) | Err(_))

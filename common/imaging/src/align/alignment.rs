@@ -62,6 +62,20 @@ pub struct Alignment {
     pub evidence: Evidence,
     /// Share of the samples without an occlusion.
     pub visible_share: f64,
+    /// The camera's response as the print shows it. `None` where it shows nothing of it.
+    pub response: Option<SeenResponse>,
+}
+
+/// The camera's response from light to code values, as the print of one body shows it.
+///
+/// Where the response differs from the assumed one, black cells look wider than white ones, or
+/// narrower.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SeenResponse {
+    /// Its exponent: code = light^(1/gamma).
+    pub gamma: f64,
+    /// Variance of `gamma`, from this body's pixels alone.
+    pub variance: f64,
 }
 
 impl Alignment {

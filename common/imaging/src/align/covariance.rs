@@ -80,8 +80,9 @@ impl Dependence {
         Some(self.estimator.factor()? * correlated)
     }
 
-    /// Covariance of the pose in the patch's axes: position (m), then rotation vector (rad). `None`
-    /// where most residuals are outliers, or the result is not finite.
+    /// Factor on the inverse normal matrix that makes it a covariance, and covariance of the pose in
+    /// the patch's axes: position (m), then rotation vector (rad). `None` where most residuals are
+    /// outliers, or the result is not finite.
     ///
     /// `normal` is the normal matrix, factored, and `from_samples` its part that comes from samples,
     /// not from priors. `explained` is the part of the residuals' weighted squares, in standard
@@ -94,7 +95,7 @@ impl Dependence {
         from_samples: &DMatrix<f64>,
         explained: f64,
         wandered: f64,
-    ) -> Option<Matrix6<f64>> {
+    ) -> Option<(f64, Matrix6<f64>)> {
         let inverse = normal.inverse();
         // Effective degrees of freedom of a ridge regression: the share of each unknown that
         // samples determine and priors do not.
@@ -107,7 +108,7 @@ impl Dependence {
         // matrix.
         let wandering = 1.0 + (WANDERING * wandered).powi(2) / factor;
         let pose: Matrix6<f64> = inverse.fixed_view::<6, 6>(0, 0) * (factor * wandering);
-        pose.iter().all(|x| x.is_finite()).then_some((pose + pose.transpose()) / 2.0)
+        pose.iter().all(|x| x.is_finite()).then_some((factor, (pose + pose.transpose()) / 2.0))
     }
 }
 

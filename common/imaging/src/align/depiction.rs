@@ -58,7 +58,7 @@ pub fn depict(
 ) -> Result<Depiction, AlignError> {
     let view = PreparedView::new(print, picture, camera_from_markers, options, 0.0)?;
     let mut state = view.state(print, camera_from_markers);
-    let PreparedView { patch, prior } = view;
+    let PreparedView { patch, prior, .. } = view;
     let samples = solve::fit_levels_alone(&patch, print, &mut state).ok_or(AlignError::Nothing)?;
     let (evidence, _) = compare(&patch, print, &state, &samples, prior.samples_per_pixel());
     let model = draw(&patch, print, &state);

@@ -52,7 +52,7 @@ pub use acceptance::{
     least_log_odds_predicted,
 };
 pub use acquire::{Place, Templates};
-pub use alignment::{AlignError, AlignOptions, Alignment, VIDEO_COVARIANCE_SCALE};
+pub use alignment::{AlignError, AlignOptions, Alignment, SeenResponse, VIDEO_COVARIANCE_SCALE};
 pub use depiction::{Depiction, depict};
 pub use evidence::Evidence;
 pub use patch::{Motion, Picture};
@@ -61,6 +61,7 @@ pub use print::{BodyPrint, MAX_CELLS, PrintError};
 use flockeye_geometry::pose::turned_covariance;
 use nalgebra::{Isometry3, Matrix2, Matrix6, Unit, Vector3};
 
+use crate::light::LinearLight;
 use evidence::compare;
 use patch::Patch;
 use samples::Sample;
@@ -125,7 +126,7 @@ pub fn starts_at(
     let Ok(view) = PreparedView::new(print, picture, &start, options, margin_rad) else {
         return Vec::new();
     };
-    let PreparedView { patch, prior } = view;
+    let PreparedView { patch, prior, .. } = view;
     let middle = patch.view_from_camera * direction_in_camera;
     let lens_px = prior.spread.gaussian[(0, 0)].sqrt();
     let camera_from_patch = patch.view_from_camera.inverse();
@@ -147,16 +148,17 @@ fn blur_margin_px(blur: &Matrix2<f64>) -> f64 {
 }
 
 /// The part of a view that shows a body, and the expected blur.
-struct PreparedView {
+struct PreparedView<'p> {
     patch: Patch,
     prior: Prior,
+    light: &'p LinearLight,
 }
 
-impl PreparedView {
+impl<'p> PreparedView<'p> {
     /// The part of `picture` that shows a body at `start`, and `margin_rad` around it.
     fn new(
         print: &BodyPrint,
-        picture: &Picture<'_>,
+        picture: &Picture<'p>,
         start: &Isometry3<f64>,
         options: &AlignOptions,
         margin_rad: f64,
@@ -188,8 +190,10 @@ impl PreparedView {
         let pose = options
             .predicted
             .and_then(|predicted| PosePrior::new(&patch.view_from_camera, &predicted, scale));
-        let prior = Prior { pose, ..Prior::new(blur_px, path_px, motion, magnification) };
-        Ok(Self { patch, prior })
+        let response_sigma = picture.response_sigma;
+        let usual = Prior::new(blur_px, path_px, motion, magnification);
+        let prior = Prior { pose, response_sigma, ..usual };
+        Ok(Self { patch, prior, light: picture.light })
     }
 
     /// The state to start from at a pose in the camera frame.
@@ -211,7 +215,7 @@ impl PreparedView {
         start: State,
         options: &AlignOptions,
     ) -> Result<Alignment, AlignError> {
-        let Self { patch, prior } = self;
+        let Self { patch, prior, .. } = self;
         let state = if options.coarse_first { self.coarse(print, start) } else { start };
         let (fit, evidence) = self.fit_visible(print, state, options.max_iterations)?;
         let along_sight = self.common_error(print, &fit.patch_from_markers);
@@ -227,6 +231,7 @@ impl PreparedView {
             stretch_px2: prior.stretch_px2(&fit.state.spread),
             evidence,
             visible_share: fit.visible_share,
+            response: fit.bend.and_then(|seen| seen.response(self.light)),
         })
     }
 
@@ -251,7 +256,7 @@ impl PreparedView {
         state: State,
         max_iterations: usize,
     ) -> Result<(BodyFit, Evidence), AlignError> {
-        let Self { patch, prior } = self;
+        let Self { patch, prior, .. } = self;
         let compare = |state: &State, samples: &[Sample]| {
             compare(patch, print, state, samples, prior.samples_per_pixel())
         };

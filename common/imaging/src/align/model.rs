@@ -18,6 +18,9 @@
 //! round, and the end of one facet's white is known to a millimetre at best. Without this line, a
 //! seam biased the range by a tenth of a percent.
 //!
+//! A camera's response may differ from the assumed one. Then the apparent radiance between black and
+//! white is I + t (I - b)(w - I) / (w - b), with one more unknown t.
+//!
 //! Cameras and codecs smooth code values too, which moves edges towards the bright side. That *code
 //! blur* is one more unknown.
 
@@ -29,12 +32,18 @@ use nalgebra::{Isometry3, Matrix2, Vector2, Vector3};
 use super::patch::Patch;
 use super::pinhole::Pinhole;
 use super::print::BodyPrint;
-use super::state::{CODE_BLUR, COMMON, SPREAD, State};
+use super::state::{CODE_BLUR, COMMON, RESPONSE, SPREAD, State};
 use blurred::BlurredFacet;
 use geometry::{VisibleFacet, visible_facets};
 
 /// Radiance below this share of nominal white is noise.
 const DARKEST: f64 = 0.01;
+
+/// Largest effect of a wrong response, as a share of a facet's contrast: that in its middle.
+const MOST_BENT: f64 = 0.25;
+
+/// Least share of the blur's variance that is the camera's own.
+const LEAST_RESPONSE_SHARE: f64 = 0.05;
 
 /// The most facets that show in one pixel.
 const MAX_FACETS: usize = 3;
@@ -48,6 +57,8 @@ pub(super) struct Scene<'p> {
     pub blurred: Vec<Option<BlurredFacet<'p>>>,
     /// Curvature of the camera's curve; see [`crate::light::LinearLight::bend`].
     pub code_bend: f64,
+    /// How much of a wrong response's effect is left after the smoothing of code values.
+    pub response_share: f64,
 }
 
 /// Index, blurred white share and blurred black share of each facet in a pixel, and their count.
@@ -55,7 +66,15 @@ pub(super) type FacetShares = ([(usize, f64, f64); MAX_FACETS], usize);
 
 impl<'p> Scene<'p> {
     pub(super) fn new(print: &'p BodyPrint, state: &State, patch: &Patch) -> Self {
-        Self::of(print, state, &patch.pinhole, patch.extra_blur_px, patch.code_bend)
+        let mut scene =
+            Self::of(print, state, &patch.pinhole, patch.extra_blur_px, patch.code_bend);
+        // The camera encodes light that lens and motion have blurred. Smoothing spreads the effect over
+        // the wider edge, and does not change its sum.
+        let blur_px2 = state.spread.whole().trace() / 2.0;
+        let share = (1.0 - patch.smoothing_px2 / blur_px2).max(LEAST_RESPONSE_SHARE);
+        let blurred_px2 = blur_px2 + patch.extra_blur_px.powi(2);
+        scene.response_share = (share * blur_px2 / blurred_px2).sqrt();
+        scene
     }
 
     pub(super) fn of(
@@ -78,7 +97,7 @@ impl<'p> Scene<'p> {
                 Some(BlurredFacet::new(facet, &covariance, &path, state.spread.parts))
             })
             .collect();
-        Self { print, visible, blurred, code_bend }
+        Self { print, visible, blurred, code_bend, response_share: 1.0 }
     }
 
     /// The facet, if it faces the camera.
@@ -110,7 +129,7 @@ impl<'p> Scene<'p> {
 /// The modelled radiance of one pixel, and its derivatives.
 pub(super) struct Modelled {
     pub radiance: f64,
-    /// Derivatives by pose, point spread and code blur.
+    /// Derivatives by pose, point spread, code blur and response.
     pub by_common: [f64; COMMON],
     /// Derivatives by the radiance gradient of the facet that the pixel lies on, along x and y.
     pub by_gradient: [f64; 2],
@@ -126,6 +145,35 @@ impl Modelled {
     /// Facet, derivative by its white level, derivative by its black level.
     pub(super) fn levels(&self) -> &[(usize, f64, f64)] {
         &self.by_levels[..self.level_count]
+    }
+
+    /// Applies a response that differs from the assumed one by `bend`; see
+    /// [`SeenBend`](super::solve::SeenBend), of whose effect `share` is left. `levels` are white and
+    /// black of the first facet.
+    #[inline(always)]
+    fn bend(&mut self, bend: f64, share: f64, [w, b]: [f64; 2]) {
+        let contrast = (w - b).max(DARKEST);
+        let (above, below) = ((self.radiance - b) / contrast, (w - self.radiance) / contrast);
+        // Beyond black and white a parabola would soon be far from any response.
+        let is_between = above * below > -MOST_BENT;
+        let bent = if is_between { above * below } else { -MOST_BENT };
+        self.by_common[RESPONSE] = share * bent * contrast;
+        let bend = share * bend;
+        if bend != 0.0 && is_between {
+            let slope = 1.0 + bend * (below - above);
+            self.by_common[..RESPONSE].iter_mut().for_each(|by| *by *= slope);
+            self.by_gradient = self.by_gradient.map(|by| by * slope);
+            for (_, by_white, by_black) in &mut self.by_levels[..self.level_count] {
+                *by_white *= slope;
+                *by_black *= slope;
+            }
+            self.by_seams[..self.seam_count].iter_mut().for_each(|(_, by)| *by *= slope);
+            if let Some((_, by_white, by_black)) = self.by_levels[..self.level_count].first_mut() {
+                *by_white += bend * above * above;
+                *by_black -= bend * below * below;
+            }
+        }
+        self.radiance += bend * bent * contrast;
     }
 
     /// Seam, derivative by its radiance.
@@ -159,6 +207,7 @@ pub(super) fn model(
     };
     let mut seams = Some(seams);
     let mut image_gradient = Vector2::zeros();
+    let mut first_levels = [0.0; 2];
     for index in facets {
         // The seams belong to the first facet, even if it does not face the camera any more.
         let seams = seams.take();
@@ -190,6 +239,7 @@ pub(super) fn model(
         if is_first {
             let radiance = w * (m - k) + b * k;
             modelled.by_gradient = [radiance * flow.at.x, radiance * flow.at.y];
+            first_levels = [w, b];
         }
         if modelled.level_count < modelled.by_levels.len() {
             modelled.by_levels[modelled.level_count] = (index, m - k, k);
@@ -204,6 +254,7 @@ pub(super) fn model(
             }
         }
     }
+    modelled.bend(state.response, scene.response_share, first_levels);
     // Blurring code values c(L) by a variance v changes radiance by v/2 (lap L + c''/c' |grad
     // L|^2). The first term is blur like any other.
     let bend =

@@ -24,6 +24,9 @@ pub struct Picture<'p> {
     pub pixels_per_radian: f64,
     /// Motion of the body during the exposure, as far as it is known.
     pub motion: Motion,
+    /// Standard deviation of the apparent bend of `light` between black and white: how well the
+    /// camera's response is known. 0 if it is known exactly, 1 if it may as well be linear as sRGB.
+    pub response_sigma: f64,
 }
 
 impl<'p> Picture<'p> {
@@ -34,7 +37,8 @@ impl<'p> Picture<'p> {
         light: &'p LinearLight,
         pixels_per_radian: f64,
     ) -> Self {
-        Self { image, view, light, pixels_per_radian, motion: Motion::default() }
+        let motion = Motion::default();
+        Self { image, view, light, pixels_per_radian, motion, response_sigma: 0.0 }
     }
 }
 
@@ -61,6 +65,9 @@ pub(super) struct Patch {
     pub saturation: f64,
     /// Curvature of the camera's curve; see [`LinearLight::bend`].
     pub code_bend: f64,
+    /// Variance of what smooths the patch after the camera has made code values, pixels squared:
+    /// blocks of pixels, and interpolation between them.
+    pub smoothing_px2: f64,
     /// Standard deviation of the Gaussian that blurred the patch, pixels.
     pub extra_blur_px: f64,
 }
@@ -131,6 +138,7 @@ impl Patch {
             }
         }
         let fine = step as f64;
+        let magnification = view.focal_px / (fine * picture.pixels_per_radian);
         let first = Vector2::new(left as f64, top as f64).add_scalar((fine - 1.0) / 2.0);
         let pinhole = Pinhole {
             focal_px: view.focal_px / fine,
@@ -145,6 +153,7 @@ impl Patch {
             view_from_camera,
             saturation: f64::from(light.of(u8::MAX)),
             code_bend: light.bend(),
+            smoothing_px2: (1.0 - fine.powi(-2) + magnification.powi(2)) / 12.0,
             extra_blur_px: 0.0,
         })
     }

@@ -12,6 +12,7 @@ use std::cell::LazyCell;
 
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn, Isometry3, Matrix6};
 
+use super::alignment::SeenResponse;
 use super::covariance::Dependence;
 use super::levels::fit_levels;
 use super::model::{Scene, rim_shift_px};
@@ -21,7 +22,8 @@ use super::patch::Patch;
 use super::print::BodyPrint;
 use super::robust::facet_sigmas;
 use super::samples::{self, Sample};
-use super::state::{Layout, Prior, State, add_priors, apply_step};
+use super::state::{Layout, Prior, RESPONSE, State, add_priors, apply_step};
+use crate::light::LinearLight;
 
 /// Motion of the body's rim below which a step is the last, pixels: the next step would be a
 /// fraction of it.
@@ -34,6 +36,12 @@ const RESAMPLE_SHIFT_PX: f64 = 0.5;
 /// Number of first steps whose motion does not count as wandering. Every fit takes more, because
 /// the blur settles later than the pose. A good start needs hardly more.
 const STRAIGHT_STEPS: usize = 2;
+/// Error of a response's gamma for each unit of bend, because no response is a parabola. A linear
+/// camera that was taken for sRGB had a bend of -0.7, and its gamma was off by 0.25.
+const PARABOLA_ERROR: f64 = 0.4;
+/// Standard deviation of the gamma between bodies and places in the picture: light is not even, and
+/// lenses are not Gaussian.
+const BODY_SIGMA: f64 = 0.1;
 /// Least number of samples of a fit.
 const MIN_SAMPLES: usize = 60;
 
@@ -52,6 +60,32 @@ pub(super) struct BodyFit {
     pub is_whole: bool,
     /// Share of the samples without an occlusion.
     pub visible_share: f64,
+    /// The camera's response as the print shows it. `None` where it shows nothing of it.
+    pub bend: Option<SeenBend>,
+}
+
+/// How much the camera's response differs from the assumed one, from the samples alone.
+///
+/// The apparent radiance is L + `bend` (L - b)(w - L)/(w - b) where the real one is L, and b and w are
+/// black and white. With code values proportional to light that are taken for sRGB it is about -1.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct SeenBend {
+    pub bend: f64,
+    pub variance: f64,
+    /// Apparent radiance of black and of white.
+    pub levels: [f64; 2],
+}
+
+impl SeenBend {
+    /// The response that explains the bend, where `light` is the assumed one. `None` where none does.
+    pub(super) fn response(&self, light: &LinearLight) -> Option<SeenResponse> {
+        let gamma = |bend: f64| light.gamma_seen(self.levels, bend);
+        let deviation = self.variance.sqrt();
+        let by_noise = (gamma(self.bend + deviation)? - gamma(self.bend - deviation)?) / 2.0;
+        let by_parabola = PARABOLA_ERROR * self.bend;
+        let variance = by_noise.powi(2) + by_parabola.powi(2) + BODY_SIGMA.powi(2);
+        Some(SeenResponse { gamma: gamma(self.bend)?, variance })
+    }
 }
 
 /// Fits a body to a patch, from `start`, using the facets that face the camera.
@@ -108,11 +142,12 @@ pub(super) fn fit(
                 apply_step(&mut state, &step, layout, focal_px)?;
                 let from_samples = from_samples.view_range(unknowns, unknowns).into_owned();
                 let explained = step.dot(&right);
-                let covariance =
+                let (factor, covariance) =
                     dependence.pose_covariance(&normal, &from_samples, explained, wandered)?;
-                Some((state.patch_from_markers, covariance))
+                let bend = seen_bend(&state, layout, prior, &normal, factor);
+                Some((state.patch_from_markers, covariance, bend))
             };
-            let (patch_from_markers, covariance) =
+            let (patch_from_markers, covariance, bend) =
                 measured(layout.count).or_else(|| measured(layout.uniform_count))?;
             return Some(BodyFit {
                 state,
@@ -121,6 +156,7 @@ pub(super) fn fit(
                 samples: set.samples,
                 is_whole: occlusion.is_empty(),
                 visible_share: occlusion.visible_share,
+                bend,
             });
         }
         let sigmas = facet_sigmas(samples, &sums.residuals, sigmas.len());
@@ -144,6 +180,32 @@ pub(super) fn fit(
         }
     }
     None
+}
+
+/// The response as the samples show it, without its prior. `factor` makes the inverse of the normal
+/// matrix a covariance. `None` where samples say nothing of it.
+fn seen_bend(
+    state: &State,
+    layout: &Layout,
+    prior: &Prior,
+    normal: &Cholesky<f64, Dyn>,
+    factor: f64,
+) -> Option<SeenBend> {
+    let mut unit = DVector::zeros(normal.l_dirty().nrows());
+    unit[RESPONSE] = 1.0;
+    let information = 1.0 / normal.solve(&unit)[RESPONSE];
+    let of_samples = information - prior.response_precision();
+    let (facet, _) = layout.facets().max_by(|(a, _), (b, _)| {
+        let white = |facet: &usize| state.levels[*facet][0];
+        white(a).total_cmp(&white(b))
+    })?;
+    let [white, black] = state.levels[facet];
+    let seen = SeenBend {
+        bend: state.response * information / of_samples,
+        variance: factor / of_samples,
+        levels: [black, white],
+    };
+    (of_samples > 0.0 && seen.bend.is_finite() && white > black).then_some(seen)
 }
 
 /// Length of a step of the pose, the first six unknowns, in standard deviations by the normal

@@ -9,15 +9,19 @@ use super::print::BodyPrint;
 use super::spread::Spread;
 
 /// Unknowns that do not belong to one facet: six of the pose, three of the point spread, one of the
-/// code blur.
-pub(super) const COMMON: usize = 10;
+/// code blur, one of the response.
+pub(super) const COMMON: usize = 11;
 /// Index of the first unknown of the point spread.
 pub(super) const SPREAD: usize = 6;
 /// Index of the code blur.
 pub(super) const CODE_BLUR: usize = 9;
+/// Index of the response.
+pub(super) const RESPONSE: usize = 10;
 /// Code blur, expected value and standard deviation, pixels of the sphere image squared. Measured:
 /// 0.1 in views cut from plain frames, 0.25 after H.264.
 const CODE_BLUR_PRIOR_PX2: (f64, f64) = (0.1, 0.15);
+/// Least standard deviation of the response. It moves edges by less than a thousandth of a pixel.
+const MIN_RESPONSE_SIGMA: f64 = 1e-3;
 /// Black as a share of white, expected value and standard deviation.
 pub(super) const BLACK_SHARE_PRIOR: (f64, f64) = (0.06, 0.12);
 /// Standard deviation of a seam's radiance, as the width in metres of a line as bright as white.
@@ -37,6 +41,9 @@ pub(super) struct State {
     pub spread: Spread,
     /// Variance of the blur that acts on code values instead of radiance, pixels squared.
     pub code_blur: f64,
+    /// How much the camera's response differs from the assumed one; see
+    /// [`SeenBend`](super::solve::SeenBend).
+    pub response: f64,
     /// White and black level of each facet.
     pub levels: Vec<[f64; 2]>,
     /// Additional radiance of each seam between two facets, as a line without width: radiance times
@@ -58,6 +65,7 @@ impl State {
             patch_from_markers,
             spread,
             code_blur: 0.0,
+            response: 0.0,
             levels: vec![[0.0; 2]; print.facets.len()],
             seams: vec![0.0; print.seams],
         }
@@ -76,6 +84,8 @@ pub(super) struct Prior {
     pub motion: Option<Unit<Vector2<f64>>>,
     /// Pixels of the patch for each pixel of the sphere image, along one axis.
     pub magnification: f64,
+    /// Standard deviation of the response's difference from the assumed one.
+    pub response_sigma: f64,
     /// Prediction of the pose; `None` where it is not known.
     pub pose: Option<PosePrior>,
 }
@@ -131,7 +141,8 @@ impl Prior {
         magnification: f64,
     ) -> Self {
         let (spread, spread_sigmas) = Spread::expected(lens_px, path_px);
-        Self { spread, spread_sigmas, motion, magnification, pose: None }
+        let response_sigma = MIN_RESPONSE_SIGMA;
+        Self { spread, spread_sigmas, motion, magnification, response_sigma, pose: None }
     }
 
     /// Variance of a point spread along the motion, less that across it, pixels of the sphere image
@@ -142,6 +153,11 @@ impl Prior {
         let whole = spread.whole();
         let variance = |axis: Vector2<f64>| axis.dot(&(whole * axis));
         Some((variance(along) - variance(across)) / self.magnification.powi(2))
+    }
+
+    /// Precision of the response's prior in the normal equations.
+    pub(super) fn response_precision(&self) -> f64 {
+        self.samples_per_pixel() / self.response_sigma.max(MIN_RESPONSE_SIGMA).powi(2)
     }
 
     /// Number of samples with the information of one independent sample: pixels of a magnified view
@@ -236,6 +252,9 @@ pub(super) fn add_priors(
     let precision = share / (sigma * scale).powi(2);
     normal[(CODE_BLUR, CODE_BLUR)] += precision;
     right[CODE_BLUR] += precision * (wanted * scale - state.code_blur);
+    let precision = prior.response_precision();
+    normal[(RESPONSE, RESPONSE)] += precision;
+    right[RESPONSE] -= precision * state.response;
     let (black, sigma) = BLACK_SHARE_PRIOR;
     let mut brightest: f64 = 0.01;
     for (facet, at) in layout.facets() {
@@ -290,6 +309,7 @@ pub(super) fn apply_step(
     );
     state.spread.add(std::array::from_fn(|k| step[SPREAD + k] * share));
     state.code_blur += step[CODE_BLUR] * share;
+    state.response += step[RESPONSE] * share;
     for (facet, at) in layout.facets() {
         state.levels[facet][0] += step[at];
         state.levels[facet][1] += step[at + 1];

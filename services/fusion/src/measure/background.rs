@@ -127,16 +127,19 @@ struct CopiedView {
     light: LinearLight,
     pixels_per_radian: f64,
     motion: Motion,
+    response_sigma: f64,
     rays_m: f64,
 }
 
 impl CopiedView {
     fn of(best: &BestView<'_>) -> Self {
-        let Picture { image, view, light, pixels_per_radian, motion } = best.picture;
+        let Picture { image, view, light, pixels_per_radian, motion, response_sigma } =
+            best.picture;
         let mut pixels = Vec::with_capacity(image.width() * image.height());
         (0..image.height()).for_each(|y| pixels.extend_from_slice(image.row(y)));
         let (size, light) = ((image.width(), image.height()), light.clone());
-        Self { pixels, size, view, light, pixels_per_radian, motion, rays_m: best.rays_m }
+        let rays_m = best.rays_m;
+        Self { pixels, size, view, light, pixels_per_radian, motion, response_sigma, rays_m }
     }
 
     fn picture(&self) -> Option<Picture<'_>> {
@@ -147,6 +150,7 @@ impl CopiedView {
             light: &self.light,
             pixels_per_radian: self.pixels_per_radian,
             motion: self.motion,
+            response_sigma: self.response_sigma,
         })
     }
 }

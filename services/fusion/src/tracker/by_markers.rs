@@ -129,9 +129,6 @@ impl Tracker {
         let mut decoded = Vec::new();
         for AnsweredView { record, view, .. } in answered {
             let mut of_view = decoded_rays(body, &record.markers);
-            for ray in &mut of_view {
-                ray.deviation_rad = self.camera.lens.with(ray.deviation_rad);
-            }
             if let Some(parallax) = &self.camera.parallax {
                 let from_m = parallax.distance_m(*view);
                 for ray in &mut of_view {

@@ -74,6 +74,7 @@ impl Tracker {
         let (update, outcome) = match accepted {
             Some((measurement, pose)) => {
                 let (update, outcome) = self.take_in(time, target, Some(&mut *part), measurement);
+                self.note_response(target, &trial);
                 if update.is_some() {
                     part.status = Status::Published { direct_pose: Some(pose) };
                 }

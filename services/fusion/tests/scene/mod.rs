@@ -147,6 +147,7 @@ pub(crate) fn alignment(
         stretch_px2: None,
         evidence: Evidence { log_odds, ..Evidence::default() },
         visible_share: 1.0,
+        response: None,
     }
 }
 
