@@ -23,6 +23,7 @@ import os
 import re
 import subprocess
 import sys
+import textwrap
 import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -150,9 +151,11 @@ RECORDED = {"recorder": ("The recorder beside a flight of 3840x1920, in real tim
 STARTS = {"start": ("From `flockeye up` to the first frame's end, and what the default pipeline takes", 10)}
 # What the coding of pictures asks of covariances: title, program.
 CODINGS = {"codings": ("Pictures that are coded in different ways", "tools/results/codings.py")}
+# Real pictures with truth: title, program.
+REAL = {"real": ("Real pictures with truth", "tools/results/real.py")}
 # These take long, so they are flown by their names alone.
 LONG = ["kills-long", "cuts", "hour", "minutes", "codings"]
-PARTS = [*RECORDINGS, *SIMULATED, *EXPERIMENTS, *SWARMS, *LOADS, *CUTS, *ONLOOKERS, *ROTATIONS, *BENCHES, *DISTURBED, *FAULTY, *RECORDED, *STARTS, *CODINGS]
+PARTS = [*REAL, *RECORDINGS, *SIMULATED, *EXPERIMENTS, *SWARMS, *LOADS, *CUTS, *ONLOOKERS, *ROTATIONS, *BENCHES, *DISTURBED, *FAULTY, *RECORDED, *STARTS, *CODINGS]
 
 
 def flockeye():
@@ -551,21 +554,36 @@ def counted(name, title, arguments, first):
     return {"title": title, "command": " ".join([name, *arguments]), "machine": before, "output": lines}
 
 
-def recoded(part):
-    """What each coding of the same pictures asks of covariances."""
-    title, program = CODINGS[part]
+def told_by(part, title, program):
+    """The entry of a Python program of its own, and what it writes."""
     python, before = ROOT / "target/python/bin/python", machine()
     if not python.exists():
         sys.exit(f"results: {part} needs {python.relative_to(ROOT)}. Cure: make python")
     done = subprocess.run([python, ROOT / program], cwd=ROOT, stdout=subprocess.PIPE, text=True)
     if done.returncode != 0:
         sys.exit(f"results: {program} ended with {done.returncode}")
-    return {part: {"title": title, "command": f"make results PARTS={part}", "machine": before,
-                   "output": done.stdout.strip().splitlines()}}
+    return {"title": title, "command": f"make results PARTS={part}", "machine": before}, done.stdout.strip()
+
+
+def recoded(part):
+    """What each coding of the same pictures asks of covariances."""
+    entry, output = told_by(part, *CODINGS[part])
+    return {part: entry | {"output": output.splitlines()}}
+
+
+def photographed(part, data):
+    """What real pictures with truth show."""
+    if not (ROOT / data / "real").exists():
+        print(f"results: {part} is left out: {data / 'real'} is absent", file=sys.stderr)
+        return {}
+    entry, output = told_by(part, *REAL[part])
+    return {part: entry | json.loads(output)}
 
 
 def run_part(part, data, wanted_ways):
     """The entries of one part, by their names."""
+    if part in REAL:
+        return photographed(part, data)
     if part in CODINGS:
         return recoded(part)
     if part in LOADS:
@@ -743,6 +761,14 @@ def experiments_page(title, explained, entries):
     return "\n".join(lines).rstrip() + "\n"
 
 
+def real_page(entry):
+    wrapped = [line if line.startswith("|") else textwrap.fill(line, 120) for line in entry["lines"]]
+    lines = ["# Results: real pictures", "", "Written by `make results PARTS=real`; do not edit. Licences and sources of the "
+             "pictures stand beside them.", "", *wrapped, "", "```sh", *entry["commands"], "```", "",
+             measured_on(entry)]
+    return "\n".join(lines) + "\n"
+
+
 def costs_page(entry):
     stated = (ROOT / "common/config/src/types/costs.rs").read_text()
     lines = ["# Results: costs", "", "Written by `make results PARTS=costs`; do not edit.",
@@ -820,7 +846,6 @@ README_ROWS = {
     "minutes-real-time": "simulated, strong wind, H.264",
     "flight1-real-time": "rendered flight, H.264",
     "flight4-sensor-real-time": "rendered flight in wind, H.264, inertial sensor",
-    "brightflight-lossless": "flights, 3 stops too bright",
     "sunflight-lossless": "low sun, shadows in stripes of 5 cm",
     "hour-lossless": "an hour, exposure swinging by 2 stops",
 }
@@ -847,7 +872,10 @@ def short_table(rows):
 
 
 def readme_table(store):
-    return short_table([(title, store[name]) for name, title in README_ROWS.items() if name in store])
+    table = short_table([(title, store[name]) for name, title in README_ROWS.items() if name in store])
+    head, rule, *rest = table.splitlines()
+    real = [store["real"]["row"]] if "real" in store else []
+    return "\n".join([head, rule, *real, *rest])
 
 
 def overview_table(store):
@@ -928,6 +956,8 @@ def render(store):
         (folder / "codings.md").write_text(experiments_page(
             "codings", "[FUSION.md](../FUSION.md#video) says what follows. NEES is 3 where covariances are right; in "
             "brackets are the 95 % bounds of its mean.", of(CODINGS)))
+    if "real" in store:
+        (folder / "real.md").write_text(real_page(store["real"]))
     if "costs" in store:
         (folder / "costs.md").write_text(costs_page(store["costs"]))
     write_between_marks(ROOT / "README.md", readme_table(store))
