@@ -75,6 +75,8 @@ def board(settings):
         found.append((1e3 * np.linalg.norm(position), np.degrees(np.linalg.norm(rotation)),
                       position @ np.linalg.solve(stated[:3, :3], position),
                       rotation @ np.linalg.solve(stated[3:, 3:], rotation), int(row["markers"])))
+    if not found:
+        sys.exit("real: the board has no pose in any picture")
     return np.array(found), len(truth), command
 
 
@@ -132,9 +134,9 @@ def main():
     for told, settings in [("nothing", []), ("`lens_error_px: 1`", ["camera.lens_error_px=1"])]:
         found, count, command = turntable(settings)
         commands.append(command)
-        sizes = np.abs(found)
+        sizes = np.abs(found) if len(found) else np.full((1, 2), np.nan)
         lines.append(f"| {told} | {len(found)} of {count} | {np.median(sizes[:, 0]):.2f} | {sizes[:, 0].max():.2f} | "
-                     f"{np.sqrt((found[:, 1] ** 2).mean()):.1f} |")
+                     f"{np.sqrt((sizes[:, 1] ** 2).mean()):.1f} |")
     lines += ["", "**Photographs.** Markers found; OpenCV's are those of its own detector on the same pictures.", "",
               "| photographs | number | ours | OpenCV | both |", "| --- | --- | --- | --- | --- |"]
     for name, (folder, dictionary) in PHOTOGRAPHS.items():

@@ -122,6 +122,10 @@ fn senseless_plans_and_detections_are_refused() {
         Plans::check(&PlanHeader::default(), &[view]).unwrap_err().to_string()
     };
     assert_eq!(Plans::check(&PlanHeader::default(), &[view; 12]), Ok(()));
+    for gamma in [-1.0, 0.01, f32::NAN] {
+        let bent = PlanHeader { gamma, ..PlanHeader::default() };
+        assert!(Plans::check(&bent, &[view]).unwrap_err().to_string().contains("gamma"));
+    }
     assert!(refused(&|view| view.camera_from_view[0] = f64::NAN).contains("length NaN"));
     assert!(refused(&|view| view.size_px = 0).contains("0x0 pixels"));
     assert!(refused(&|view| view.size_px = 16_000).contains("16000x16000"));

@@ -191,6 +191,10 @@ impl Detector {
         let outline = rotated(&near, decoded.first_corner);
         let (corners, lighting) = self.with_hidden_corner(image, light, &outline, print)?;
         let accepted = |corners: &Quad, sigmas_px: [f64; 4], misfit: f64| {
+            // Such corners are known nowhere. False for a NaN.
+            if !sigmas_px.iter().all(|sigma_px| *sigma_px < mean_side_px(corners)) {
+                return None;
+            }
             let log_odds = self.log_odds(image, light, corners, decoded.id, print, misfit)?
                 - self.misplacement(corners, &sigmas_px);
             let found = found_at(view, decoded.id, *corners, sigmas_px);

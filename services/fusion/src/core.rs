@@ -57,11 +57,10 @@ impl<P: AsRef<[u8]>> Core<P> {
     pub(crate) fn new(
         schedule: Schedule,
         frames: Frames<P>,
-        mut reader: PictureReader,
+        reader: PictureReader,
         tracker: Tracker,
         planner: Planner,
     ) -> Self {
-        reader.response_sigma = tracker.camera.response.sigma();
         Self {
             schedule,
             frames,
@@ -114,7 +113,6 @@ impl<P: AsRef<[u8]>> Core<P> {
         }
         self.planning.resume(planning);
         self.tracker.camera.response.resume(response);
-        self.reader.response_sigma = self.tracker.camera.response.sigma();
         self.tracker.resume(targets, ego, exposure)
     }
 
@@ -164,6 +162,7 @@ impl<P: AsRef<[u8]>> Core<P> {
     }
 
     fn on_view(&mut self, header: ViewHeader, pixels: P, now_ns: i64) {
+        self.tracker.camera.response.note_view(header.transfer, header.gamma);
         if self.frames.add_view(header, pixels, now_ns)
             && let Some(purpose) = purpose_of(&header)
         {
@@ -376,7 +375,6 @@ impl<P: AsRef<[u8]>> Core<P> {
         self.tracker.end_frame(order, at_s, &frame.parts);
         let surprise = self.tracker.camera.response.end_frame();
         self.notices.extend(surprise.map(Notice::Response));
-        self.reader.response_sigma = self.tracker.camera.response.sigma();
         // Views that arrived were already recorded.
         self.planning.end_frame(at_s, frame.purposes_without_view(), frame.first_hit());
         outputs.tracks.push(TrackMessage::last_of(frame.stamp));

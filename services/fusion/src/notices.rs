@@ -84,10 +84,11 @@ impl Notice {
                 }
             }
             Self::Response(Surprise { seen: (gamma, deviation), used, taken: Some(taken) }) => {
+                // It changes once or twice in a flight.
                 tracing::info!(
-                    "the bodies' print shows a camera with a gamma of {gamma:.2} +- {deviation:.2} (1 is linear, \
-                     2.2 is sRGB), and {used:.1} was assumed: {taken:.1} is used from now on. \
-                     Cure: state camera.response"
+                    "the bodies' print shows a camera with a gamma of {gamma:.2} +- {deviation:.2}, not {used:.1} \
+                     (1 is linear, 2.2 is sRGB). {taken:.1} is used from now on. Cure, to have it from the \
+                     first frame: state camera.response"
                 );
             }
             Self::Response(Surprise { seen: (gamma, deviation), used, taken: None }) => {

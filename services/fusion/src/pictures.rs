@@ -9,6 +9,7 @@ use crate::aligner::BestView;
 use crate::frame::views::HeldViews;
 use crate::measure::BestViews;
 use crate::parallax::Parallax;
+use crate::response::ResponseEstimate;
 
 /// Converts code values to radiance, and corrects rays.
 #[derive(Debug)]
@@ -16,8 +17,6 @@ pub(crate) struct PictureReader {
     lights: RadianceCache,
     pixels_per_radian: f64,
     parallax: Option<Parallax>,
-    /// Standard deviation of the camera's response; see [`Picture::response_sigma`].
-    pub(crate) response_sigma: f64,
 }
 
 impl PictureReader {
@@ -28,28 +27,30 @@ impl PictureReader {
         pixels_per_radian: f64,
         parallax: Option<Parallax>,
     ) -> Self {
-        Self { lights, pixels_per_radian, parallax, response_sigma: 0.0 }
+        Self { lights, pixels_per_radian, parallax }
     }
 
     /// The best views of a frame's targets.
     pub(crate) fn best_views<'c, P: AsRef<[u8]>>(
         &'c mut self,
         held: &'c HeldViews<P>,
+        response: &ResponseEstimate,
     ) -> BestViews<'c> {
         let views = held
             .best
             .iter()
             .map(|(target, (_, header, pixels))| (*target, header, (**pixels).as_ref()));
-        self.read_all(views).into_iter().collect()
+        self.read_all(views, response).into_iter().collect()
     }
 
     /// Pictures of places.
     pub(crate) fn places<'c>(
         &'c mut self,
         views: impl Iterator<Item = (&'c ViewHeader, &'c Vec<u8>)>,
+        response: &ResponseEstimate,
     ) -> Vec<BestView<'c>> {
         let views = views.map(|(header, pixels)| ((), header, &pixels[..]));
-        self.read_all(views).into_iter().map(|((), view)| view).collect()
+        self.read_all(views, response).into_iter().map(|((), view)| view).collect()
     }
 
     /// Pictures of a frame's unanswered regions of interest, with their targets' numbers.
@@ -57,12 +58,14 @@ impl PictureReader {
         &'c mut self,
         held: &'c HeldViews<P>,
         views: &[u32],
+        response: &ResponseEstimate,
     ) -> Vec<(usize, BestView<'c>)> {
-        self.read_all(views.iter().filter_map(|index| {
+        let views = views.iter().filter_map(|index| {
             let (header, pixels) = held.unanswered.get(index)?;
             let Some(Purpose::Roi(target)) = purpose_of(header) else { return None };
             Some((target, header, (**pixels).as_ref()))
-        }))
+        });
+        self.read_all(views, response)
     }
 
     /// Reads views with their pixels. A view that cannot be read is left out; detection reports the
@@ -70,6 +73,7 @@ impl PictureReader {
     fn read_all<'c, K>(
         &'c mut self,
         views: impl Iterator<Item = (K, &'c ViewHeader, &'c [u8])>,
+        response: &ResponseEstimate,
     ) -> Vec<(K, BestView<'c>)> {
         let views: Vec<_> = views.collect();
         for (_, header, _) in &views {
@@ -78,13 +82,18 @@ impl PictureReader {
         }
         let (reader, views) = (&*self, views.into_iter());
         views
-            .filter_map(|(key, header, pixels)| Some((key, reader.read(header, pixels)?)))
+            .filter_map(|(key, header, pixels)| Some((key, reader.read(header, pixels, response)?)))
             .collect()
     }
 
-    fn read<'c>(&'c self, header: &ViewHeader, pixels: &'c [u8]) -> Option<BestView<'c>> {
+    fn read<'c>(
+        &'c self,
+        header: &ViewHeader,
+        pixels: &'c [u8],
+        response: &ResponseEstimate,
+    ) -> Option<BestView<'c>> {
         let picture = Picture {
-            response_sigma: self.response_sigma,
+            response_sigma: response.sigma(header.transfer, header.gamma),
             ..Picture::still(
                 image_of(header, pixels).ok()?,
                 view_of(header),

@@ -64,12 +64,13 @@ pub fn configured<P: AsRef<[u8]>>(
     let threads = pipeline.fusion.threads as usize;
     let exposure_s = pipeline.exposure_s();
     let mut tracker = Tracker::new(bodies, filter, aligner.clone(), threads, exposure_s);
+    tracker.camera.lens = resolved.lens_error();
     tracker.camera.parallax = parallax.clone();
-    let (transfer, gamma) = resolved.transfer;
     let is_simulated = pipeline.source.stage() == contract::StageName::Simulator;
     tracker.camera.response = ResponseEstimate::new(match pipeline.learns_response() {
         true => Stated::Nothing,
-        false => Stated::of(transfer, gamma, is_simulated),
+        false if is_simulated || resolved.measured_response.is_some() => Stated::Exactly,
+        false => Stated::ByName,
     });
     let readout_s = pipeline.camera.readout_ms * 1e-3;
     tracker.camera.readout = (readout_s > 0.0).then_some((*camera, readout_s));

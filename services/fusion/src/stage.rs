@@ -14,7 +14,7 @@ use crate::background_runner::BackgroundRunner;
 use crate::core::{Core, Event, Outputs};
 use crate::inbox::Inbox;
 use crate::journal::Journal;
-use crate::notices::{Notice, Throttles};
+use crate::notices::Throttles;
 use crate::output::Writer;
 use crate::settings::configured;
 use crate::succession::Succession;
@@ -61,7 +61,6 @@ impl Stage for FusionStage {
             .then(|| Succession::begin(&mut core, &context.saved_states, longest));
         let has_resumed = succession.as_ref().is_some_and(|before| before.has_resumed);
         let journal = Journal::new(context.identity.generation, has_resumed);
-        context.counters.set_detail(core.tracker().response().to_string());
         Ok(Self {
             inbox: Inbox::open(ports, pipeline)?,
             tracks: ports.publisher()?,
@@ -137,6 +136,7 @@ impl FusionStage {
         if let Some((next, after)) = &outputs.plan {
             let (header, views) = self.writer.plan(next, *after, sent_ns);
             self.plans.send(header, &views).context("the plan for the next frame")?;
+            self.counters.set_detail(self.core.tracker().response().to_string());
         }
         if let (Some(job), Some(runner)) = (outputs.job, &mut self.background) {
             runner.run(job)?;
@@ -146,9 +146,6 @@ impl FusionStage {
         }
         for notice in &outputs.notices {
             notice.report(&self.counters, &mut self.throttles);
-            if let Notice::Response(_) = notice {
-                self.counters.set_detail(self.core.tracker().response().to_string());
-            }
         }
         Ok(())
     }

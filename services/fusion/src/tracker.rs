@@ -9,6 +9,7 @@ use flockeye_geometry::body::Bodies;
 use flockeye_geometry::camera::Camera;
 use flockeye_geometry::ego_rotation::EgoRotation;
 use flockeye_geometry::filter::{HISTORY_S, TrackPolicy};
+use flockeye_geometry::pose::LensError;
 
 use crate::account::{AccountEntry, Pass, Trial};
 use crate::aligner::Aligner;
@@ -33,6 +34,8 @@ pub(crate) struct CameraState {
     pub(crate) response: ResponseEstimate,
     /// Corrects rays and poses to their distances; `None` if all lenses lie at the camera's centre.
     pub(crate) parallax: Option<Parallax>,
+    /// The error of its lens model.
+    pub(crate) lens: LensError,
     /// Its model, and the time from its first to its last row, seconds; `None` where all rows are
     /// exposed at once.
     pub(crate) readout: Option<(Camera, f64)>,
@@ -80,6 +83,7 @@ impl Tracker {
                 exposure: ExposureEstimate::new(exposure_s, aligner.pixels_per_radian),
                 response: ResponseEstimate::new(Stated::Exactly),
                 parallax: None,
+                lens: LensError::default(),
                 readout: None,
             },
             aligner,
@@ -269,7 +273,9 @@ impl Tracker {
         trial: Trial,
     ) -> Option<Update> {
         let (update, outcome) = self.take_in(time, target, part, measurement);
-        self.note_response(target, &trial);
+        if update.is_some() {
+            self.note_response(target, &trial);
+        }
         self.note_trial(time.order, target, trial, outcome);
         update
     }

@@ -152,7 +152,11 @@ impl Modelled {
     /// black of the first facet.
     #[inline(always)]
     fn bend(&mut self, bend: f64, share: f64, [w, b]: [f64; 2]) {
-        let contrast = (w - b).max(DARKEST);
+        // Without a first facet there is no black and white.
+        let contrast = w - b;
+        if contrast < DARKEST {
+            return;
+        }
         let (above, below) = ((self.radiance - b) / contrast, (w - self.radiance) / contrast);
         // Beyond black and white a parabola would soon be far from any response.
         let is_between = above * below > -MOST_BENT;

@@ -37,7 +37,7 @@ const RESAMPLE_SHIFT_PX: f64 = 0.5;
 /// the blur settles later than the pose. A good start needs hardly more.
 const STRAIGHT_STEPS: usize = 2;
 /// Error of a response's gamma for each unit of bend, because no response is a parabola. A linear
-/// camera that was taken for sRGB had a bend of -0.7, and its gamma was off by 0.25.
+/// camera that was taken for sRGB seemed to have a bend of -0.7, and its gamma was off by 0.3.
 const PARABOLA_ERROR: f64 = 0.4;
 /// Standard deviation of the gamma between bodies and places in the picture: light is not even, and
 /// lenses are not Gaussian.
@@ -144,7 +144,7 @@ pub(super) fn fit(
                 let explained = step.dot(&right);
                 let (factor, covariance) =
                     dependence.pose_covariance(&normal, &from_samples, explained, wandered)?;
-                let bend = seen_bend(&state, layout, prior, &normal, factor);
+                let bend = seen_bend(&state, samples, prior, &normal, factor);
                 Some((state.patch_from_markers, covariance, bend))
             };
             let (patch_from_markers, covariance, bend) =
@@ -186,7 +186,7 @@ pub(super) fn fit(
 /// matrix a covariance. `None` where samples say nothing of it.
 fn seen_bend(
     state: &State,
-    layout: &Layout,
+    samples: &[Sample],
     prior: &Prior,
     normal: &Cholesky<f64, Dyn>,
     factor: f64,
@@ -195,11 +195,11 @@ fn seen_bend(
     unit[RESPONSE] = 1.0;
     let information = 1.0 / normal.solve(&unit)[RESPONSE];
     let of_samples = information - prior.response_precision();
-    let (facet, _) = layout.facets().max_by(|(a, _), (b, _)| {
-        let white = |facet: &usize| state.levels[*facet][0];
-        white(a).total_cmp(&white(b))
-    })?;
-    let [white, black] = state.levels[facet];
+    // The facet that most pixels show has the most certain levels.
+    let mut shown = vec![0usize; state.levels.len()];
+    samples.iter().for_each(|sample| shown[usize::from(sample.facet)] += 1);
+    let most = (0..shown.len()).max_by_key(|&facet| shown[facet])?;
+    let [white, black] = state.levels[most];
     let seen = SeenBend {
         bend: state.response * information / of_samples,
         variance: factor / of_samples,

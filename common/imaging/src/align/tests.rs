@@ -18,6 +18,7 @@ use super::model::geometry::visible_facets;
 use super::model::{Modelled, Scene, model};
 use super::pinhole::Pinhole;
 use super::*;
+use crate::image::LumaImage;
 use crate::light::{CodeRange, LinearLight, TransferCurve};
 use drawn_body::{Drawing, draw, prints};
 
@@ -277,6 +278,34 @@ fn smoothed_code_values_do_not_bias_the_range() {
     let bias_m: f64 = sum_m / count;
     println!("bias {:.3} mm", bias_m * 1e3);
     assert!(bias_m.abs() < 0.4e-3, "{:.2} mm", bias_m * 1e3);
+}
+
+#[test]
+fn a_linear_camera_that_is_taken_for_srgb_is_seen() {
+    let print = print_of(&body(0));
+    let linear = LinearLight::new(TransferCurve::Linear, CodeRange::Full).unwrap();
+    for turn in 0..4 {
+        let truth = pose(1.2, [0.3, -0.2, 1.6 * f64::from(turn)]);
+        let srgb_drawing = draw(&body(0), &truth, PIXELS_PER_RADIAN, 0.9, 0.002);
+        let code = |code: &u8| linear.code_of(srgb().of(*code).into()).round() as u8;
+        let pixels = srgb_drawing.pixels.iter().map(code).collect();
+        let drawing = Drawing { pixels, view: srgb_drawing.view };
+        let side = drawing.view.size_px as usize;
+        let gamma = |drawing: &Drawing, light: &LinearLight| {
+            let image = LumaImage::new(&drawing.pixels, side, side, side).unwrap();
+            let picture = Picture {
+                response_sigma: 0.6,
+                ..Picture::still(image, drawing.view, light, PIXELS_PER_RADIAN)
+            };
+            let found = align(&print, &picture, &truth, &AlignOptions::default()).unwrap();
+            found.response.expect("its print shows it").gamma
+        };
+        let [right, wrong] = [&linear, &srgb()].map(|light| gamma(&drawing, light));
+        assert!((right - 1.0).abs() < 0.15, "{right}");
+        assert!((0.6..1.6).contains(&wrong), "{wrong}");
+        let of_srgb = gamma(&srgb_drawing, &srgb());
+        assert!((of_srgb - 2.2).abs() < 0.3, "{of_srgb}");
+    }
 }
 
 /// The drawing lit from one side: 30 % darker than in the middle at one rim of the body, 30 %

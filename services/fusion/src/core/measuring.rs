@@ -22,7 +22,8 @@ impl<P: AsRef<[u8]>> Core<P> {
         let time = time_of(&stamp);
         let (reader, tracker) = (&mut self.reader, &mut self.tracker);
         let found = frame.with_parts(|frame, parts| {
-            let regions: Vec<(usize, BestView<'_>)> = reader.regions(&frame.held, &taken);
+            let regions: Vec<(usize, BestView<'_>)> =
+                reader.regions(&frame.held, &taken, tracker.response());
             let updates = tracker.direct_pass(time, parts, &regions).into_iter();
             let caused = updates.filter_map(|update| {
                 let (_, last) = regions.iter().rfind(|(target, _)| *target == update.0)?;
@@ -58,7 +59,7 @@ impl<P: AsRef<[u8]>> Core<P> {
         let (reader, tracker) = (&mut self.reader, &mut self.tracker);
         let notices = &mut outputs.notices;
         let updates = frame.with_parts(|frame, parts| {
-            let mut best_views = reader.best_views(&frame.held);
+            let mut best_views = reader.best_views(&frame.held, tracker.response());
             let views = searched.clone().unwrap_or_else(|| {
                 let counted: Vec<u32> = frame.counted_views().collect();
                 best_views.retain(|_, best| counted.contains(&best.view_index));
@@ -95,7 +96,8 @@ impl<P: AsRef<[u8]>> Core<P> {
         let time = time_of(&frame.stamp);
         let (reader, tracker) = (&mut self.reader, &mut self.tracker);
         let update = frame.with_parts(|frame, parts| {
-            tracker.place_pass(time, parts, target, &reader.places(frame.places.next()))
+            let views = reader.places(frame.places.next(), tracker.response());
+            tracker.place_pass(time, parts, target, &views)
         });
         self.publish_updates(order, update.into_iter().collect(), None, outputs);
         true

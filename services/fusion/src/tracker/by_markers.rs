@@ -129,6 +129,10 @@ impl Tracker {
         let mut decoded = Vec::new();
         for AnsweredView { record, view, .. } in answered {
             let mut of_view = decoded_rays(body, &record.markers);
+            // A foreign detector may not know of the lens's error.
+            for ray in &mut of_view {
+                ray.deviation_rad = ray.deviation_rad.max(self.camera.lens.deviation_rad);
+            }
             if let Some(parallax) = &self.camera.parallax {
                 let from_m = parallax.distance_m(*view);
                 for ray in &mut of_view {

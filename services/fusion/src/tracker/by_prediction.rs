@@ -74,8 +74,8 @@ impl Tracker {
         let (update, outcome) = match accepted {
             Some((measurement, pose)) => {
                 let (update, outcome) = self.take_in(time, target, Some(&mut *part), measurement);
-                self.note_response(target, &trial);
                 if update.is_some() {
+                    self.note_response(target, &trial);
                     part.status = Status::Published { direct_pose: Some(pose) };
                 }
                 (update, outcome)

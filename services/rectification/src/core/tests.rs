@@ -54,6 +54,19 @@ fn plan(plan_id: u64, kinds: &[ViewKind], made_ns: i64) -> Event<()> {
     Event::Plan(header, kinds.iter().map(view).collect())
 }
 
+#[test]
+fn views_have_the_response_of_the_frame_or_of_the_plan() {
+    for gamma in [0.0, 1.25] {
+        let mut core = flying(1);
+        let Event::Plan(header, views) = plan(1, &[ViewKind::Partition], 0) else { unreachable!() };
+        core.on(Event::Plan(PlanHeader { gamma, ..header }, views), 0);
+        core.on(frame(1), MS);
+        let view = next_cut(&mut core, MS).header;
+        let curve = if gamma > 0.0 { Transfer::Gamma } else { Transfer::Srgb };
+        assert_eq!((view.transfer, view.gamma), (curve.code(), gamma));
+    }
+}
+
 fn answer(order: &CutOrder) -> Event<()> {
     let ViewHeader { stamp, view_index, worker, attempt, .. } = order.header;
     Event::Answer(DetectionHeader {

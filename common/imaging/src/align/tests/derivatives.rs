@@ -37,6 +37,7 @@ proptest! {
         range_m in 0.5..3.0f64,
         across in prop::array::uniform2(-0.7..0.7f64),
         path in prop::array::uniform2(-6.0..6.0f64),
+        response in prop::option::of(-0.7..0.7f64),
     ) {
         let print = print_of(&body(0));
         let pose = Isometry3::from_parts(
@@ -46,6 +47,7 @@ proptest! {
         let pinhole = Pinhole { focal_px: 611.0, centre_px: Vector2::new(50.0, 50.0) };
         let state = State {
             levels: (0..print.facets.len()).map(|k| [0.5 + 0.01 * k as f64, 0.04]).collect(),
+            response: response.unwrap_or(0.0),
             ..State::new(&print, pose, &Prior::new(1.0, Vector2::from(path), None, 1.0))
         };
         let visible = visible_facets(&print, &pose, &pinhole);
@@ -71,6 +73,23 @@ proptest! {
                 let numeric = (at_pose(moved(&pose, shift, turn)) - at_pose(moved(&pose, -shift, -turn))) / (2.0 * step);
                 let limit = 0.02 * (numeric.abs() + largest) + 0.5;
                 prop_assert!((numeric - now.by_common[k]).abs() < limit, "facet {index}, unknown {k}: {numeric} and {}", now.by_common[k]);
+            }
+            let bent = model(&State { response: state.response + 0.01, ..state.clone() }).radiance;
+            let numeric = (bent - now.radiance) / 0.01;
+            prop_assert!((numeric - now.by_common[super::super::state::RESPONSE]).abs() < 1e-9, "facet {index}: {numeric}");
+            if response.is_some() {
+                // Levels enter the bend twice, and squared.
+                let (_, by_white, by_black) = now.levels()[0];
+                for (level, by) in [by_white, by_black].into_iter().enumerate() {
+                    let at = |change: f64| {
+                        let mut other = state.clone();
+                        other.levels[index][level] += change;
+                        model(&other).radiance
+                    };
+                    let numeric = (at(1e-5) - at(-1e-5)) / 2e-5;
+                    prop_assert!((numeric - by).abs() < 1e-3, "facet {index}, level {level}: {numeric} and {by}");
+                }
+                continue;
             }
             let [white, black] = state.levels[index];
             let (_, by_white, by_black) = now.levels()[0];
