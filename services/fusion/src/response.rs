@@ -98,9 +98,8 @@ impl ResponseEstimate {
     /// Records the transfer curve of a view. It is the frames' own, or the learned one.
     pub(crate) fn note_view(&mut self, transfer: u32, gamma: f32) {
         let of_view = gamma_of(transfer, gamma);
-        let is_learned = of_view
-            .zip(self.taken)
-            .is_some_and(|(of_view, taken)| (of_view - taken).abs() < 1e-3);
+        let is_learned =
+            of_view.zip(self.taken).is_some_and(|(of_view, taken)| (of_view - taken).abs() < 1e-3);
         if !is_learned {
             self.own = of_view;
         }
@@ -271,7 +270,8 @@ mod tests {
         for edge in [1.2, 1.8] {
             let mut response = estimate(Stated::Nothing);
             shown(&mut response, &[edge; 50], 0.01);
-            let around: Vec<f64> = (0..50).map(|k| edge + 0.03 * f64::from(k % 2 * 2 - 1)).collect();
+            let around: Vec<f64> =
+                (0..50).map(|k| edge + 0.03 * f64::from(k % 2 * 2 - 1)).collect();
             assert!(shown(&mut response, &around, 0.01).len() <= 1, "{edge}");
         }
     }

@@ -91,6 +91,11 @@ pub(crate) fn run(bench: &mut Bench, resolved: &Resolved) -> anyhow::Result<()> 
     Ok(())
 }
 
+/// The learned response of a plan: every second one has it, and a view without a plan has none.
+fn gamma_of_plan(plan_id: u64) -> f32 {
+    if plan_id > 0 && plan_id.is_multiple_of(2) { 1.4 } else { 0.0 }
+}
+
 impl Script<'_> {
     fn frame(&mut self) -> FrameHeader {
         let now_ns = clock::monotonic_ns();
@@ -131,6 +136,7 @@ impl Script<'_> {
             made_ns: now_ns,
             stop_rule: rule.code(),
             view_budget: count as u32,
+            gamma: gamma_of_plan(self.plan_id),
             ..PlanHeader::default()
         };
         self.plans.send(header, &planned)?;
@@ -199,10 +205,14 @@ impl Script<'_> {
                 *lane,
             );
             report.field("views say whose they are", PAGE, "generation", header.generation, 0);
-            let copied = [
-                ("transfer", header.transfer, frame.transfer),
-                ("range", header.range, frame.range),
-            ];
+            let gamma = gamma_of_plan(header.plan_id);
+            let (transfer, gamma) = match gamma > 0.0 {
+                true => (Transfer::Gamma.code(), gamma),
+                false => (frame.transfer, frame.gamma),
+            };
+            report.field("views have the plan's response", PAGE, "gamma", header.gamma, gamma);
+            let copied =
+                [("transfer", header.transfer, transfer), ("range", header.range, frame.range)];
             for (field, found, wanted) in copied {
                 report.field("fields are copied from the frame", PAGE, field, found, wanted);
             }
