@@ -13,7 +13,7 @@ import numpy as np
 
 from flockeye import NONE, Stage
 from flockeye.contract import (
-    DETECTION, FRAME, FRAME_END, PLAN, VIEW, FrameEnd, PlannedView, StopReason, StopRule, ViewHeader,
+    DETECTION, FRAME, FRAME_END, PLAN, VIEW, FrameEnd, PlannedView, StopReason, StopRule, Transfer, ViewHeader,
     ViewKind,
 )  # fmt: skip
 
@@ -143,9 +143,11 @@ class Rectifier:
             views = [self.sweep[(self.next_tile + k) % count] for k in range(count)]
             self.next_tile = (self.next_tile + 1) % count
             self.plan_id, self.rule, self.budget = 0, StopRule.DEADLINE, 1
+            self.gamma = 0.0
         else:
             views = followed[1]
             self.plan_id, self.rule, self.budget = followed[0].plan_id, followed[0].stop_rule, followed[0].view_budget
+            self.gamma = followed[0].gamma
         self.views = deque(enumerate(views))
         self.issued = 0
         self.has_hit, self.is_ended = False, False
@@ -192,6 +194,9 @@ class Rectifier:
                     setattr(header, name, getattr(planned, name))
                 elif hasattr(frame, name):
                     setattr(header, name, getattr(frame, name))
+            if self.gamma > 0:
+                # Fusion has learned that the frame's own response is wrong.
+                header.transfer, header.gamma = Transfer.GAMMA, self.gamma
             header.camera_from_view[:] = rotation
             header.plan_id, header.taken_ns = self.plan_id, self.taken_ns
             header.generation = self.stage.generation
