@@ -19,4 +19,4 @@ mod drawn_body;
 #[cfg(test)]
 mod fixtures;
 #[cfg(test)]
-mod flights;
+mod tests;

@@ -28,8 +28,6 @@ mod session;
 mod text;
 
 #[cfg(test)]
-mod decided;
-#[cfg(test)]
 mod tests;
 
 use std::path::Path;

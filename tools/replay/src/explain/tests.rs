@@ -2,6 +2,8 @@
 
 #![allow(clippy::unwrap_used)]
 
+mod decided;
+
 use flockeye_config::{Pipeline, Resolved};
 use flockeye_contract::{
     BodyTruth, DetectedMarker, DetectionHeader, FrameEnd, MeasuredBy, NONE, PlanHeader,

@@ -4,7 +4,7 @@
 
 use super::*;
 use crate::fixtures::region_end;
-use crate::flights::{Recording, flown, flown_on, resolved};
+use crate::tests::flights::{Recording, flown, flown_on, resolved};
 use flockeye_contract::{FrameStamp, JournalHeader, MAX_JOURNAL_ENTRIES};
 
 fn tried(recording: Recording) -> anyhow::Result<ReplayReport> {

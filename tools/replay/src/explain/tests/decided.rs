@@ -6,14 +6,14 @@ use flockeye_config::Resolved;
 use flockeye_contract::FrameStamp;
 use flockeye_fusion::{AccountEntry, Outcome, Trial};
 
-use super::explanation::{DecisiveStep, FrameExplanation, PassFacts};
-use super::gathered::StageMessages;
-use super::known::{FrameKnowledge, ReplayOutcome};
-use super::poses::Mounting;
-use super::session::Session;
-use super::{facts, text};
+use super::super::explanation::{DecisiveStep, FrameExplanation, PassFacts};
+use super::super::gathered::StageMessages;
+use super::super::known::{FrameKnowledge, ReplayOutcome};
+use super::super::poses::Mounting;
+use super::super::session::Session;
+use super::super::{facts, text};
 use crate::fixtures::stamp;
-use crate::flights::{Recording, flown_on_with_account, resolved};
+use crate::tests::flights::{Recording, flown_on_with_account, resolved};
 
 /// Target number of alpha.
 const TARGET: usize = 0;
