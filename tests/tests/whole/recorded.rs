@@ -97,7 +97,8 @@ fn unrelated_stills_give_no_false_pose() {
     assert_eq!(evaluation.coasted.count, 0);
 }
 
-/// A board of tags before a fisheye with a published calibration, which states no error.
+/// A board of tags before a fisheye with a published calibration, which states no error. Its residuals
+/// at the board's saddle points are 0.09 to 0.26 px.
 #[test]
 fn poses_behind_a_real_fisheye_are_off_by_what_they_state() {
     let Some(data) = recordings() else { return };
@@ -105,14 +106,19 @@ fn poses_behind_a_real_fisheye_are_off_by_what_they_state() {
     let lens = folder.join("lens.yaml");
     let truth = std::fs::read_to_string(folder.join("truth.csv")).expect("the truth is there");
     let truth: Vec<Isometry3<f64>> = truth.lines().skip(1).map(true_pose).collect();
-    // Nobody says that the camera is linear, or somebody does so wrongly, or rightly.
-    for (response, says) in [
-        ("camera.response=", Some("1.0 is used from now on")),
-        ("camera.response=srgb", Some("but the configuration states 2.2")),
-        ("camera.response=linear", None),
+    let (learned, contradicted) = ("1.0 is used from now on", "but the configuration states 2.2");
+    let with_residuals = "camera.lens_error_px=0.2";
+    // Nothing is told, or the residuals of the lens. Then nobody says that the camera is linear, or
+    // somebody does so wrongly, or rightly. By default this lens is taken for a worse one, so rotations
+    // are stated cautiously.
+    for (told, response, says, least) in [
+        ("camera.lens_error_px=", "camera.response=", Some(learned), 0.2),
+        (with_residuals, "camera.response=", Some(learned), 0.3),
+        (with_residuals, "camera.response=srgb", Some(contradicted), 0.3),
+        (with_residuals, "camera.response=linear", None, 0.3),
     ] {
         let (images, bodies) = (folder.join("images"), folder.join("bodies.json"));
-        let set = ["profile=stills", response];
+        let set = ["profile=stills", told, response];
         let (poses, output) = fly_with("tumvi", Some(&lens), &images, &bodies, &set);
         match says {
             Some(says) => assert!(output.contains(says), "{response}: {output}"),
@@ -133,10 +139,9 @@ fn poses_behind_a_real_fisheye_are_off_by_what_they_state() {
             };
             nees += Vector2::new(squared(position, 0), squared(turn, 3)) / poses.len() as f64;
         }
-        println!("{response}: NEES of position and rotation {nees}");
-        // 3 is right. Without the lens's error the position has 20 to 150. This lens is better than
-        // 0.3 px, so its rotations are stated cautiously.
-        assert!(nees.max() < 4.0 && nees.x > 0.3 && nees.y > 0.2, "{response}: {nees}");
+        println!("{told} {response}: NEES of position and rotation {nees}");
+        // 3 is right. Without the lens's error the position has 10 to 120.
+        assert!(nees.max() < 4.0 && nees.min() > least, "{told} {response}: {nees}");
     }
 }
 
