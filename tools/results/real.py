@@ -58,7 +58,9 @@ def measured(lens, images, bodies, name, settings):
                *[word for setting in settings for word in ("--set", setting)], "--poses", str(poses)]
     print(f"  {shown(command)}", file=sys.stderr, flush=True)
     call(command)
-    return [row for row in rows(poses) if row["measured_by"] != "nothing"], command
+    told = " ".join(f"--set {setting}" for setting in settings)
+    typed = f"flockeye up {Path(lens).name} --source {Path(images).name} --bodies {Path(bodies).name} --profile stills {told}"
+    return [row for row in rows(poses) if row["measured_by"] != "nothing"], typed.strip()
 
 
 def board(settings):
@@ -142,7 +144,7 @@ def main():
     for name, (folder, dictionary) in PHOTOGRAPHS.items():
         number, ours, theirs, both = photographs(folder, dictionary)
         lines.append(f"| {name} | {number} | {ours} | {theirs} | {both} |")
-    print(json.dumps({"lines": lines, "row": row, "commands": [shown(command) for command in commands]}))
+    print(json.dumps({"lines": lines, "row": row, "commands": commands}))
 
 
 if __name__ == "__main__":

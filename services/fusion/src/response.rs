@@ -10,8 +10,8 @@ use flockeye_imaging::align::SeenResponse;
 /// [`Picture::response_sigma`](flockeye_imaging::align::Picture::response_sigma)) that nobody knows.
 /// A linear camera that is taken for sRGB differs by 0.7 to 1.1.
 const UNKNOWN: f64 = 0.6;
-/// That of a response that is stated or learned. The bends that bodies show in three flights of sRGB
-/// cameras scatter by as much.
+/// That of a response that is stated or learned. The bends that single bodies show in four flights of
+/// sRGB cameras scatter by 0.02 to 0.06 (docs/results/constants.md#response).
 const KNOWN: f64 = 0.03;
 /// Change of the bend by a relative change of the gamma: 4 (1/2)^g has this slope at g = 1.
 const BEND_OF_GAMMA: f64 = 1.4;
@@ -25,7 +25,7 @@ const MAX_DEVIATION: f64 = 0.35;
 /// The gamma that comes nearest to sRGB.
 const SRGB_GAMMA: f64 = 2.2;
 /// Distance from sRGB, and from a linear response, within which a camera is taken for one of these.
-/// The gammas of three sRGB cameras are seen as 2.2 to 2.4, that of a linear one as 0.9 to 1.0.
+/// The gammas of four sRGB cameras are seen as 2.2 in the median, that of a linear one as 0.9 to 1.05.
 const NEAR_SRGB: f64 = 0.4;
 const NEAR_LINEAR: f64 = 0.2;
 /// The response in use stays within as many times these distances, so that it does not flip.
