@@ -765,7 +765,7 @@ def real_page(entry):
     wrapped = [line if line.startswith("|") else textwrap.fill(line, 120) for line in entry["lines"]]
     lines = ["# Results: real pictures", "", "Written by `make results PARTS=real`; do not edit. Licences and sources of the "
              "pictures stand beside them.", "", *wrapped, "",
-             "The poses are those of these commands, each in the folder of its pictures:", "",
+             "These commands measure the poses, each in the folder of its pictures:", "",
              "```sh", *entry["commands"], "```", "",
              measured_on(entry)]
     return "\n".join(lines) + "\n"
