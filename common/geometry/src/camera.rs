@@ -11,6 +11,7 @@ mod lens;
 mod pair;
 mod pixel;
 mod stereographic;
+mod stitch;
 
 use nalgebra::Vector3;
 
@@ -21,6 +22,7 @@ pub use self::lens::{Lens, LensCurve};
 pub use self::pair::LensRay;
 pub use self::pixel::SpherePixel;
 pub use self::stereographic::Stereographic;
+pub use self::stitch::{Half, ShownBy, Stitch, touches_strip};
 use crate::Ray;
 
 /// A spherical camera: its model, the sides of its image, and the distance for which it is exact.

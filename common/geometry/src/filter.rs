@@ -237,6 +237,12 @@ impl MotionEstimate {
         Ok(moved.turned(&ego.between(stamp_s, at_s)))
     }
 
+    /// Adds a covariance to that of the pose.
+    pub(super) fn loosen(&mut self, by: &Matrix6<f64>) {
+        let mut of_pose = self.covariance.fixed_view_mut::<6, 6>(0, 0);
+        of_pose += by;
+    }
+
     /// Updates the state with a pose measured at `stamp_s` by a camera that turned by `ego`. A
     /// measurement outside `gate` is refused: the largest squared Mahalanobis distance to pass (see
     /// [`chi_square_gate`]). Returns the log-likelihood of the measurement, up to a constant.

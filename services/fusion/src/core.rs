@@ -31,7 +31,8 @@ use crate::record::Record;
 use crate::refusal::Guard;
 use crate::schedule::Schedule;
 use crate::snapshot::Snapshot;
-use crate::tracker::Tracker;
+use crate::stitching::StitchEstimate;
+use crate::tracker::{CameraState, Tracker};
 use crate::work::Work;
 
 /// State of fusion between events. `P` is the hold on a view's pixels.
@@ -94,16 +95,19 @@ impl<P: AsRef<[u8]>> Core<P> {
     pub(crate) fn snapshot(&self) -> Snapshot {
         let published = |target| self.frames.last_published(target);
         let (targets, ego, exposure) = self.tracker.saved(published);
-        let response = self.tracker.response().learned();
+        let CameraState { response, stitching, .. } = self.tracker.camera();
+        let response = response.learned();
+        let lenses = stitching.as_ref().map(StitchEstimate::learned).unwrap_or_default();
         let ended = self.tracker.ended.map(|(order, _)| order).max(self.frames.last_complete);
-        Snapshot { ended, targets, ego, exposure, response, planning: self.planning.clone() }
+        let planning = self.planning.clone();
+        Snapshot { ended, targets, ego, exposure, response, lenses, planning }
     }
 
     /// Continues from another process's snapshot, and returns the names of the bodies whose tracks
     /// continue. It is called before the first event. Published poses are not published again in
     /// any case.
     pub(crate) fn resume(&mut self, snapshot: Snapshot) -> Vec<String> {
-        let Snapshot { ended, targets, ego, exposure, response, planning } = snapshot;
+        let Snapshot { ended, targets, ego, exposure, response, lenses, planning } = snapshot;
         self.frames.begin_after(ended);
         for saved in &targets {
             let mut names = self.tracker.targets().iter().map(|target| &target.body.name);
@@ -113,6 +117,9 @@ impl<P: AsRef<[u8]>> Core<P> {
         }
         self.planning.resume(planning);
         self.tracker.camera.response.resume(response);
+        if let Some(stitching) = &mut self.tracker.camera.stitching {
+            stitching.resume(&lenses);
+        }
         self.tracker.resume(targets, ego, exposure)
     }
 
@@ -373,7 +380,7 @@ impl<P: AsRef<[u8]>> Core<P> {
         let Some(frame) = self.frames.end(order) else { return };
         let at_s = frame.stamp.exposure_s();
         self.tracker.end_frame(order, at_s, &frame.parts);
-        let surprise = self.tracker.camera.response.end_frame();
+        let surprise = self.tracker.learn();
         self.notices.extend(surprise.map(Notice::Response));
         // Views that arrived were already recorded.
         self.planning.end_frame(at_s, frame.purposes_without_view(), frame.first_hit());

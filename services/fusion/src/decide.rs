@@ -417,6 +417,7 @@ pub(crate) fn measurement(
                 markers,
                 is_precise: *verdict == CornerVerdict::Enough,
                 is_proven: false,
+                shown: None,
             })
         }
     }

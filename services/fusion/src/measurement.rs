@@ -3,11 +3,12 @@
 use flockeye_contract::{DetectedMarker, MeasuredBy};
 use flockeye_geometry::Ray;
 use flockeye_geometry::body::Body;
+use flockeye_geometry::camera::ShownBy;
 use flockeye_geometry::filter::RivalPose;
 use flockeye_geometry::pose::{CornerRay, PoseEstimate};
 use flockeye_geometry::view::{View, ViewPixel};
 use flockeye_imaging::align::Alignment;
-use nalgebra::{Unit, Vector2, Vector3};
+use nalgebra::{Matrix6, Unit, Vector2, Vector3};
 
 use crate::decide;
 
@@ -27,6 +28,31 @@ pub struct PoseMeasurement {
     /// Whether the picture alone proves the pose, by several facets. Then it may replace a stale
     /// track.
     pub is_proven: bool,
+    /// What shows the body in the picture of a stitched camera.
+    pub shown: Option<Shown>,
+}
+
+/// What shows a body in a stitched picture, and what all poses from there have in common.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Shown {
+    /// The half, or both.
+    pub by: ShownBy,
+    /// Covariance from what is not known of one half ([`Stitch::pose_covariance`]).
+    ///
+    /// [`Stitch::pose_covariance`]: flockeye_geometry::camera::Stitch::pose_covariance
+    pub covariance: Matrix6<f64>,
+}
+
+impl Shown {
+    /// Covariance of the jump of measured poses since one that was shown by `before`.
+    pub(crate) fn jump_since(&self, before: ShownBy) -> Option<Matrix6<f64>> {
+        match (before, self.by) {
+            (before, now) if before == now => None,
+            // The errors of the halves are opposite.
+            (ShownBy::One(_), ShownBy::One(_)) => Some(self.covariance * 4.0),
+            _ => Some(self.covariance),
+        }
+    }
 }
 
 impl PoseMeasurement {
@@ -45,6 +71,7 @@ impl PoseMeasurement {
             markers,
             is_precise: found.is_precise,
             is_proven: decide::is_proven(found),
+            shown: None,
         }
     }
 }

@@ -10,6 +10,7 @@ use flockeye_contract::{
 };
 use flockeye_convert::{pose, row_major, search_code, stop_rule, xyzw};
 use flockeye_geometry::body::{Bodies, Body};
+use flockeye_geometry::camera::Stitch;
 use flockeye_geometry::filter::{self, MotionEstimate, RivalPose};
 use flockeye_geometry::pose::{LensError, PoseEstimate};
 use flockeye_geometry::search::{Purpose, Search, SearchView};
@@ -93,6 +94,8 @@ pub(crate) struct CameraMount {
     /// The error of its lens model. It is the same in all frames, so the tracks' filters must not
     /// average it away. It is added where poses leave.
     pub(crate) lens: LensError,
+    /// The lenses of a stitched camera. What is not known of them is another error of all frames.
+    pub(crate) stitch: Option<Stitch>,
 }
 
 /// Writes messages for one observer.
@@ -117,6 +120,8 @@ impl Writer {
         now_ns: i64,
     ) -> (TrackHeader, Vec<Track>) {
         let TrackMessage { stamp, updates, is_last } = message;
+        let stitch = tracker.camera().stitching.as_ref().map(|it| *it.current());
+        let mount = CameraMount { stitch, ..self.mount };
         // In a lossless run exposures have another clock, and the time of sending is meaningless.
         let predicted_ns = match self.flow {
             Flow::Latest => now_ns,
@@ -124,12 +129,12 @@ impl Writer {
         };
         let tracks = updates.iter().filter_map(|((target, estimate), cause)| {
             let body = self.bodies.get(*target)?;
-            let track = track(*target, estimate, body, &self.mount);
+            let track = track(*target, estimate, body, &mount);
             let predicted_s = predicted_ns as f64 * 1e-9;
             let rival = tracker.rival(*target, predicted_s).filter(|_| track.is_ambiguous != 0);
             let track = match tracker.prediction(*target, predicted_s) {
                 Some(predicted) => {
-                    let (at, covariance) = believed(&predicted.pose(), rival, body, &self.mount);
+                    let (at, covariance) = believed(&predicted.pose(), rival, body, &mount);
                     Track {
                         predicted_observer_from_target: pose(&at),
                         predicted_covariance: row_major(&covariance),
@@ -188,7 +193,7 @@ impl Writer {
 }
 
 /// The pose of the target drone in the observer drone's frame, mounts applied, with its covariance
-/// and the lens's error.
+/// and the errors of the lenses.
 ///
 /// A small rotation d of the markers moves the target's origin, which lies at r from theirs (both
 /// in the camera's axes), by d x r; so the covariance turns with J = [I, -[r]x; 0, I], then both
@@ -196,9 +201,13 @@ impl Writer {
 fn mounted(
     estimate: &PoseEstimate,
     body: &Body,
-    CameraMount { observer_from_camera, lens }: &CameraMount,
+    CameraMount { observer_from_camera, lens, stitch }: &CameraMount,
 ) -> (Isometry3<f64>, Matrix6<f64>) {
-    let estimate = lens.added(estimate, body);
+    let mut estimate = lens.added(estimate, body);
+    if let Some(stitch) = stitch {
+        let place = estimate.camera_from_markers.translation.vector;
+        estimate.covariance += stitch.pose_covariance(&place);
+    }
     let markers_from_target = body.target_from_markers.inverse();
     let camera_from_target = estimate.camera_from_markers * markers_from_target;
     let offset = estimate.camera_from_markers.rotation * markers_from_target.translation.vector;
@@ -352,7 +361,7 @@ mod tests {
     }
 
     fn mount(observer_from_camera: Isometry3<f64>) -> CameraMount {
-        CameraMount { observer_from_camera, lens: LensError::default() }
+        CameraMount { observer_from_camera, lens: LensError::default(), stitch: None }
     }
 
     #[test]

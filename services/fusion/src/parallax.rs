@@ -8,7 +8,7 @@ use flockeye_contract::ViewHeader;
 use flockeye_geometry::Ray;
 use flockeye_geometry::camera::{Camera, CameraModel};
 use flockeye_geometry::pose::PoseEstimate;
-use nalgebra::{Isometry3, Matrix6, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 
 /// The camera's lenses, if they sit beside its middle.
 #[derive(Debug, Clone, PartialEq)]
@@ -16,17 +16,17 @@ pub(crate) struct Parallax {
     camera: Camera,
     /// Assumed distance without a prediction, metres.
     pub(crate) assumed_m: f64,
-    is_stitched: bool,
 }
 
 impl Parallax {
     /// Creates the correction of a camera that is exact for `assumed_m` without a prediction;
-    /// `None` if all of its rays meet in its middle.
+    /// `None` if all of its rays meet in its middle, and for a stitched camera, of which
+    /// [`StitchEstimate`](crate::stitching::StitchEstimate) knows more.
     pub(crate) fn of(camera: &Camera, assumed_m: f64) -> Option<Self> {
         let camera = camera.at_distance(assumed_m);
         let is_stitched = matches!(camera.model(), CameraModel::Equirectangular { .. });
         // The distance matters only for lenses beside the middle.
-        (camera.nearness() > 0.0).then_some(Self { camera, assumed_m, is_stitched })
+        (camera.nearness() > 0.0 && !is_stitched).then_some(Self { camera, assumed_m })
     }
 
     /// Distance for which a view's rays are exact, metres.
@@ -41,37 +41,20 @@ impl Parallax {
     }
 
     /// Corrects a pose from rays that were exact for `rays_m` to its own distance, by a rotation
-    /// about the camera's middle. A stitched image is assumed to be stitched for distant objects.
-    /// If it was stitched for nearer ones, all rays have a common error of up to the whole
-    /// parallax. The covariance includes it as a uniform distribution.
+    /// about the camera's middle.
     pub(crate) fn corrected(&self, estimate: &PoseEstimate, rays_m: f64) -> PoseEstimate {
         let position = estimate.camera_from_markers.translation.vector;
         let Some(towards) = Ray::try_new(position, 1e-9) else { return *estimate };
-        let range_m = position.norm();
-        let brought = self.brought(&towards, rays_m, range_m);
+        let brought = self.brought(&towards, rays_m, position.norm());
         let turn = UnitQuaternion::rotation_between_axis(&towards, &brought).unwrap_or_default();
         let camera_from_markers =
             Isometry3::from_parts(Default::default(), turn) * estimate.camera_from_markers;
-        let mut covariance = estimate.covariance;
-        if self.is_stitched {
-            let there = camera_from_markers.translation.vector;
-            let far = self.brought(&brought, range_m, f64::INFINITY);
-            let turn = UnitQuaternion::rotation_between_axis(&brought, &far).unwrap_or_default();
-            // The mean square of a uniform distribution from zero to one is a third.
-            covariance += common(&(turn * there - there), &turn) / 3.0;
-        }
-        PoseEstimate { camera_from_markers, covariance }
+        PoseEstimate { camera_from_markers, ..*estimate }
     }
 }
 
-/// Covariance of a common shift and rotation.
-fn common(shift: &Vector3<f64>, turn: &UnitQuaternion<f64>) -> Matrix6<f64> {
-    let turn = turn.scaled_axis();
-    let both = nalgebra::Vector6::new(shift.x, shift.y, shift.z, turn.x, turn.y, turn.z);
-    both * both.transpose()
-}
-
-fn predicted_distance_m(view: &ViewHeader) -> Option<f64> {
+/// The distance for which a view's rays are exact, metres; `None` for one without a prediction.
+pub(crate) fn predicted_distance_m(view: &ViewHeader) -> Option<f64> {
     let [x, y, z] = view.predicted_camera_from_markers.position;
     (view.has_prediction != 0).then(|| Vector3::new(x, y, z).norm())
 }
@@ -80,13 +63,27 @@ fn predicted_distance_m(view: &ViewHeader) -> Option<f64> {
 mod tests {
     #![allow(clippy::unwrap_used, clippy::expect_used)]
     use super::*;
-    use flockeye_geometry::pose::PoseEstimate;
-    use flockeye_geometry::pose::position_deviation_m;
-    use nalgebra::{Translation3, Unit};
+    use std::f64::consts::PI;
 
+    use flockeye_geometry::camera::{Lens, LensCurve};
+    use nalgebra::{Matrix6, Translation3, Unit, Vector2};
+
+    /// Two lenses back to back, each 8 mm from the middle.
     fn camera() -> Camera {
-        let stitched = CameraModel::Equirectangular { lens_distance_m: 0.016 };
-        Camera::new(3840, 1920, stitched).unwrap()
+        let lens = |forward: Vector3<f64>, column: f64| Lens {
+            camera_from_lens: Isometry3::from_parts(
+                Translation3::from(forward * 0.008),
+                UnitQuaternion::rotation_between(&Vector3::z(), &forward)
+                    .unwrap_or(UnitQuaternion::from_axis_angle(&Vector3::y_axis(), PI)),
+            ),
+            centre_px: Vector2::new(column, 959.5),
+            circle_px: 959.0,
+            field_rad: 3.3,
+            focal_px: Vector2::repeat(580.0),
+            curve: LensCurve::Equidistant([0.0; 4]),
+        };
+        let lenses = [lens(Vector3::x(), 959.5), lens(-Vector3::x(), 2879.5)];
+        Camera::new(3840, 1920, CameraModel::DualFisheye(lenses)).unwrap()
     }
 
     #[test]
@@ -110,14 +107,6 @@ mod tests {
         assert!((0.003..0.008).contains(&error), "{error}");
         let right = parallax.corrected(&wrong, 1.5);
         assert!((right.camera_from_markers.translation.vector - truth).norm() < 1e-6);
-        // Across the line of sight it is as uncertain as the stitcher makes it: by the root of a
-        // third of the half distance of the lenses, less what lies along the sight.
-        let spread = position_deviation_m(&right.covariance);
-        let across = 0.008 * (1.0 - (truth.x / truth.norm()).powi(2)).sqrt();
-        assert!((spread / (across / 3f64.sqrt()) - 1.0).abs() < 0.05, "{spread} {across}");
-        let sight = truth.normalize();
-        let along = (sight.transpose() * right.covariance.fixed_view::<3, 3>(0, 0) * sight)[0];
-        assert!(along.sqrt() < 0.1 * error, "{along}");
     }
 
     #[test]

@@ -9,7 +9,7 @@ use crate::aligner::BestView;
 use crate::frame::views::HeldViews;
 use crate::measure::BestViews;
 use crate::parallax::Parallax;
-use crate::response::ResponseEstimate;
+use crate::tracker::CameraState;
 
 /// Converts code values to radiance, and corrects rays.
 #[derive(Debug)]
@@ -34,23 +34,23 @@ impl PictureReader {
     pub(crate) fn best_views<'c, P: AsRef<[u8]>>(
         &'c mut self,
         held: &'c HeldViews<P>,
-        response: &ResponseEstimate,
+        camera: &CameraState,
     ) -> BestViews<'c> {
         let views = held
             .best
             .iter()
             .map(|(target, (_, header, pixels))| (*target, header, (**pixels).as_ref()));
-        self.read_all(views, response).into_iter().collect()
+        self.read_all(views, camera).into_iter().collect()
     }
 
     /// Pictures of places.
     pub(crate) fn places<'c>(
         &'c mut self,
         views: impl Iterator<Item = (&'c ViewHeader, &'c Vec<u8>)>,
-        response: &ResponseEstimate,
+        camera: &CameraState,
     ) -> Vec<BestView<'c>> {
         let views = views.map(|(header, pixels)| ((), header, &pixels[..]));
-        self.read_all(views, response).into_iter().map(|((), view)| view).collect()
+        self.read_all(views, camera).into_iter().map(|((), view)| view).collect()
     }
 
     /// Pictures of a frame's unanswered regions of interest, with their targets' numbers.
@@ -58,14 +58,14 @@ impl PictureReader {
         &'c mut self,
         held: &'c HeldViews<P>,
         views: &[u32],
-        response: &ResponseEstimate,
+        camera: &CameraState,
     ) -> Vec<(usize, BestView<'c>)> {
         let views = views.iter().filter_map(|index| {
             let (header, pixels) = held.unanswered.get(index)?;
             let Some(Purpose::Roi(target)) = purpose_of(header) else { return None };
             Some((target, header, (**pixels).as_ref()))
         });
-        self.read_all(views, response)
+        self.read_all(views, camera)
     }
 
     /// Reads views with their pixels. A view that cannot be read is left out; detection reports the
@@ -73,7 +73,7 @@ impl PictureReader {
     fn read_all<'c, K>(
         &'c mut self,
         views: impl Iterator<Item = (K, &'c ViewHeader, &'c [u8])>,
-        response: &ResponseEstimate,
+        camera: &CameraState,
     ) -> Vec<(K, BestView<'c>)> {
         let views: Vec<_> = views.collect();
         for (_, header, _) in &views {
@@ -82,7 +82,7 @@ impl PictureReader {
         }
         let (reader, views) = (&*self, views.into_iter());
         views
-            .filter_map(|(key, header, pixels)| Some((key, reader.read(header, pixels, response)?)))
+            .filter_map(|(key, header, pixels)| Some((key, reader.read(header, pixels, camera)?)))
             .collect()
     }
 
@@ -90,10 +90,11 @@ impl PictureReader {
         &'c self,
         header: &ViewHeader,
         pixels: &'c [u8],
-        response: &ResponseEstimate,
+        camera: &CameraState,
     ) -> Option<BestView<'c>> {
         let picture = Picture {
-            response_sigma: response.sigma(header.transfer, header.gamma),
+            response_sigma: camera.response.sigma(header.transfer, header.gamma),
+            stitch: camera.stitching.as_ref().map(|stitching| stitching.of_view(Some(header))),
             ..Picture::still(
                 image_of(header, pixels).ok()?,
                 view_of(header),

@@ -22,6 +22,7 @@ use crate::parallax::Parallax;
 use crate::pictures::PictureReader;
 use crate::response::{ResponseEstimate, Stated};
 use crate::schedule::{Schedule, VirtualClock};
+use crate::stitching::StitchEstimate;
 use crate::tracker::Tracker;
 
 /// Creates the core of a configuration, the writer of its messages, and the aligner of its
@@ -66,6 +67,7 @@ pub fn configured<P: AsRef<[u8]>>(
     let mut tracker = Tracker::new(bodies, filter, aligner.clone(), threads, exposure_s);
     tracker.camera.lens = resolved.lens_error();
     tracker.camera.parallax = parallax.clone();
+    tracker.camera.stitching = stitching(resolved);
     let is_simulated = pipeline.source.stage() == contract::StageName::Simulator;
     tracker.camera.response = ResponseEstimate::new(match pipeline.learns_response() {
         true => Stated::Nothing,
@@ -109,12 +111,25 @@ pub fn configured<P: AsRef<[u8]>>(
         mount: CameraMount {
             observer_from_camera: *observer_from_camera,
             lens: resolved.lens_error(),
+            stitch: None,
         },
         flow: pipeline.flow(),
         mode: pipeline.search.mode,
         generation,
     };
     Ok((core, writer, has_background.then_some(aligner)))
+}
+
+/// The lenses of a stitched camera. `None` for a camera that certainly has one centre.
+fn stitching(resolved: &Resolved) -> Option<StitchEstimate> {
+    let settings = &resolved.pipeline.camera;
+    let (stated_m, assumed_m) = (settings.lens_distance_m, settings.assumed_distance_m);
+    let is_stitched = matches!(resolved.camera.model(), CameraModel::Equirectangular { .. });
+    match stated_m.filter(|_| is_stitched) {
+        _ if resolved.pipeline.learns_lenses() => Some(StitchEstimate::new(stated_m, assumed_m)),
+        Some(exact_m) if exact_m > 0.0 => Some(StitchEstimate::exact(exact_m, assumed_m)),
+        _ => None,
+    }
 }
 
 /// Number of views of places that look like a body in each frame. They are found in equirectangular

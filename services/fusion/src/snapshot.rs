@@ -1,5 +1,5 @@
-//! State of fusion for the next process: tracks, the camera's rotation, the sums of exposure and
-//! response, and the record of searches.
+//! State of fusion for the next process: tracks, the camera's rotation, the sums of exposure,
+//! response and lenses, and the record of searches.
 //!
 //! It is saved before a pose is published and after each frame. A process that starts in a swap, or
 //! after a crash, continues from there. It contains no views of open frames, because only the old
@@ -16,7 +16,7 @@ use crate::planning::Planning;
 use crate::target::SavedTarget;
 
 /// Version of the saved form. It rises with each change, and other versions are not read.
-const VERSION: u32 = 4;
+const VERSION: u32 = 5;
 
 /// The state of a core after a frame.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -29,6 +29,8 @@ pub(crate) struct Snapshot {
     pub(crate) exposure: (f64, f64),
     /// Response from print: sums of gamma and weight, and the gamma in use.
     pub(crate) response: (f64, f64, Option<f64>),
+    /// Lenses of a stitched camera from bodies across their border; empty for another camera.
+    pub(crate) lenses: Vec<f64>,
     pub(crate) planning: Planning,
 }
 

@@ -136,7 +136,7 @@ impl FusionStage {
         if let Some((next, after)) = &outputs.plan {
             let (header, views) = self.writer.plan(next, *after, sent_ns);
             self.plans.send(header, &views).context("the plan for the next frame")?;
-            self.counters.set_detail(self.core.tracker().response().to_string());
+            self.counters.set_detail(self.core.tracker().camera().to_string());
         }
         if let (Some(job), Some(runner)) = (outputs.job, &mut self.background) {
             runner.run(job)?;

@@ -2,6 +2,7 @@
 
 use flockeye_contract::{FrameOrder, MeasuredBy};
 use flockeye_geometry::body::Body;
+use flockeye_geometry::camera::ShownBy;
 use flockeye_geometry::ego_rotation::EgoRotation;
 use flockeye_geometry::filter::{
     FilterError, FrameMeasurement, Happened, LifeCycle, MotionEstimate, RivalPose, SavedLife,
@@ -72,6 +73,8 @@ pub struct Target {
     suspended_frames: u64,
     /// Number of consecutive frames that the direct pass has measured.
     direct_in_a_row: u32,
+    /// What showed it in a stitched picture when it was measured last.
+    shown_by: Option<ShownBy>,
 }
 
 /// State of a target for the next process.
@@ -90,7 +93,8 @@ impl Target {
     /// Creates a target before its first measurement.
     pub(crate) fn new(body: Body, policy: TrackPolicy) -> Self {
         let life = LifeCycle::new(policy);
-        Self { body, life, track_id: 0, suspended_frames: 0, direct_in_a_row: 0 }
+        let (track_id, suspended_frames, direct_in_a_row, shown_by) = (0, 0, 0, None);
+        Self { body, life, track_id, suspended_frames, direct_in_a_row, shown_by }
     }
 
     /// Suspends its direct pass, because markers contradicted one of its poses.
@@ -192,12 +196,21 @@ impl Target {
         measurement: &PoseMeasurement,
         ego: &EgoRotation,
     ) -> bool {
-        self.life.accepts(at_s, &in_life(measurement), ego)
+        self.life.accepts(at_s, &self.in_life(measurement), ego)
     }
 
     /// Filters anew from a time, because the camera's rotation since then is known better.
     pub(crate) fn refilter(&mut self, since_s: f64, ego: &EgoRotation) {
         self.life.refilter(since_s, ego);
+    }
+
+    /// Corrects the poses of its track, and filters anew.
+    pub(crate) fn correct(
+        &mut self,
+        corrected: impl Fn(&PoseEstimate) -> PoseEstimate,
+        ego: &EgoRotation,
+    ) {
+        self.life.correct(corrected, ego);
     }
 
     /// Updates the filter with a frame's measurement. `None` if the filter refuses it: its time
@@ -214,7 +227,12 @@ impl Target {
         }
         let pose = &measurement.pose;
         let measured = measurement.is_usable_alone().then_some((*pose, measurement.measured_by));
-        match self.life.measured(at_s, &in_life(measurement), ego) {
+        let in_life = self.in_life(measurement);
+        let happened = self.life.measured(at_s, &in_life, ego);
+        if let Ok(Happened::Started | Happened::Restarted | Happened::Updated) = happened {
+            self.shown_by = measurement.shown.map(|shown| shown.by);
+        }
+        match happened {
             Ok(Happened::Started | Happened::Restarted) => {
                 self.track_id += 1;
                 self.estimate(at_s, measured, measurement.markers, ego)
@@ -224,6 +242,13 @@ impl Target {
             Err(FilterError::Past { .. } | FilterError::Gap { .. }) => None,
             Err(FilterError::Unusable { .. } | FilterError::Gated { .. }) => None,
         }
+    }
+
+    /// A measurement as the track's life takes it.
+    fn in_life(&self, measurement: &PoseMeasurement) -> FrameMeasurement {
+        let PoseMeasurement { pose, rival, is_proven, shown, .. } = *measurement;
+        let jump = shown.zip(self.shown_by).and_then(|(now, before)| now.jump_since(before));
+        FrameMeasurement { pose, rival, is_proven, jump }
     }
 
     /// Handles a frame without a measurement of the target. `None` if there is no track. The last
@@ -270,12 +295,6 @@ impl Target {
             track_id: self.track_id,
         })
     }
-}
-
-/// A measurement as the track's life takes it.
-fn in_life(measurement: &PoseMeasurement) -> FrameMeasurement {
-    let PoseMeasurement { pose, rival, is_proven, .. } = *measurement;
-    FrameMeasurement { pose, rival, is_proven }
 }
 
 #[cfg(test)]

@@ -2,6 +2,7 @@
 //!
 //! A measurement enters a track in one place, [`Tracker::take_in`].
 
+use std::fmt;
 use std::sync::Arc;
 
 use flockeye_contract::FrameOrder;
@@ -22,8 +23,9 @@ use crate::measure::{AnsweredView, BestViews, FrameTime, distinct_decoded};
 use crate::measurement::{PoseMeasurement, decoded_rays};
 use crate::parallax::Parallax;
 use crate::policy::TimeBudget;
-use crate::response::{ResponseEstimate, Stated};
+use crate::response::{ResponseEstimate, Stated, Surprise};
 use crate::schedule::Attempts;
+use crate::stitching::{StitchEstimate, correct_rays, remade};
 use crate::target::{Target, TargetEstimate, Update};
 
 /// State of the camera beside its picture.
@@ -32,13 +34,31 @@ pub(crate) struct CameraState {
     ego: EgoRotation,
     exposure: ExposureEstimate,
     pub(crate) response: ResponseEstimate,
-    /// Corrects rays and poses to their distances; `None` if all lenses lie at the camera's centre.
+    /// Corrects rays and poses to their distances; `None` if all lenses lie at the camera's centre, and
+    /// for a stitched camera.
     pub(crate) parallax: Option<Parallax>,
+    /// The lenses of a stitched camera; `None` if it is known to have one centre.
+    pub(crate) stitching: Option<StitchEstimate>,
     /// The error of its lens model.
     pub(crate) lens: LensError,
     /// Its model, and the time from its first to its last row, seconds; `None` where all rows are
     /// exposed at once.
     pub(crate) readout: Option<(Camera, f64)>,
+}
+
+impl CameraState {
+    /// Whether rays are right for things at any distance.
+    fn has_one_centre(&self) -> bool {
+        self.parallax.is_none() && self.stitching.is_none()
+    }
+}
+
+/// What is known of the response and of the lenses, for health.
+impl fmt::Display for CameraState {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}", self.response)?;
+        self.stitching.iter().try_for_each(|stitching| write!(f, "; {stitching}"))
+    }
 }
 
 /// All targets with their tracks.
@@ -83,6 +103,7 @@ impl Tracker {
                 exposure: ExposureEstimate::new(exposure_s, aligner.pixels_per_radian),
                 response: ResponseEstimate::new(Stated::Exactly),
                 parallax: None,
+                stitching: None,
                 lens: LensError::default(),
                 readout: None,
             },
@@ -99,9 +120,9 @@ impl Tracker {
         &self.targets
     }
 
-    /// The camera's response.
-    pub(crate) fn response(&self) -> &ResponseEstimate {
-        &self.camera.response
+    /// State of the camera beside its picture.
+    pub(crate) fn camera(&self) -> &CameraState {
+        &self.camera
     }
 
     /// The attempts since the last call.
@@ -127,7 +148,7 @@ impl Tracker {
             let Some(part) = parts.get_mut(target) else { continue };
             // Without its view, the distance of a record's rays is not known. Once the frame is
             // complete, the assumed distance is used.
-            let is_ready = self.camera.parallax.is_none() || answer.view.is_some();
+            let is_ready = self.camera.has_one_centre() || answer.view.is_some();
             let is_due = is_ready && !part.is_published();
             if is_due && !std::mem::replace(&mut part.is_region_tried, true) {
                 tried.push((target, std::slice::from_ref(answer)));
@@ -186,7 +207,11 @@ impl Tracker {
             let Some(target) = answer.region_of() else { continue };
             let Some(known) = self.targets.get_mut(target) else { continue };
             let Some(pose) = parts.get(target).and_then(Part::direct_pose) else { continue };
-            let rays = decoded_rays(&known.body, &answer.record.markers);
+            let mut rays = decoded_rays(&known.body, &answer.record.markers);
+            if let Some(stitching) = &self.camera.stitching {
+                let cameras = vec![stitching.of_view(answer.view); rays.len()];
+                correct_rays(&mut rays, &cameras, pose.translation.vector.norm());
+            }
             if contradicts(&known.body, &rays, pose) {
                 known.suspend_direct_pass();
                 self.note(order, target, AccountEntry::Contradicted);
@@ -255,11 +280,28 @@ impl Tracker {
         self.note(order, target, AccountEntry::Ran(Trial { outcome, ..trial }));
     }
 
-    /// Records what a measurement shows of the camera's response.
-    fn note_response(&mut self, target: usize, trial: &Trial) {
-        let chosen = trial.decision.chosen_of(&trial.hypotheses);
-        if let Some(seen) = chosen.and_then(|found| found.response) {
+    /// Ends a frame for what is learned of the camera. If that moves poses, tracks move with it.
+    pub(crate) fn learn(&mut self) -> Option<Surprise> {
+        if let Some(stitching) = &mut self.camera.stitching
+            && let Some(before) = stitching.end_frame()
+        {
+            let now = *stitching.current();
+            for target in &mut self.targets {
+                let radius_m = target.body.radius();
+                target.correct(|pose| remade(pose, radius_m, &before, &now), &self.camera.ego);
+            }
+        }
+        self.camera.response.end_frame()
+    }
+
+    /// Records what a measurement shows of the camera.
+    fn note_camera(&mut self, target: usize, trial: &Trial) {
+        let Some(chosen) = trial.decision.chosen_of(&trial.hypotheses) else { return };
+        if let Some(seen) = chosen.response {
             self.camera.response.note(target, seen);
+        }
+        if let Some((stitching, seen)) = self.camera.stitching.as_mut().zip(chosen.stitch) {
+            stitching.note(target, seen);
         }
     }
 
@@ -274,7 +316,7 @@ impl Tracker {
     ) -> Option<Update> {
         let (update, outcome) = self.take_in(time, target, part, measurement);
         if update.is_some() {
-            self.note_response(target, &trial);
+            self.note_camera(target, &trial);
         }
         self.note_trial(time.order, target, trial, outcome);
         update

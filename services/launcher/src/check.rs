@@ -6,6 +6,7 @@ use std::time::Duration;
 use anyhow::{Context, ensure};
 use flockeye_cli::{Configuration, Screen, signals};
 use flockeye_config::{FrameLimit, RecordingTrigger, Resolved};
+use flockeye_contract::Projection;
 use flockeye_dictionary::Dictionary;
 use flockeye_geometry::partition;
 use flockeye_network::NetworkParameters;
@@ -103,6 +104,16 @@ fn plan(resolved: &Resolved, budget: &Budget) -> anyhow::Result<String> {
         pipeline.lens_error_px(),
         if camera.lens_error_px.is_some() { "camera.lens_error_px" } else { "assumed" }
     )?;
+    if camera.projection == Projection::Equirectangular {
+        let from = match (pipeline.learns_lenses(), camera.lens_distance_m) {
+            (true, Some(_)) => "camera.lens_distance_m, until bodies across their border show it",
+            (true, None) => "assumed until bodies across their border show it",
+            (false, Some(_)) => "camera.lens_distance_m",
+            (false, None) => "the simulator's",
+        };
+        let distance_mm = camera.lens_distance_m.unwrap_or(0.0) * 1e3;
+        writeln!(text, "lenses   {distance_mm} mm apart ({from})")?;
+    }
     let (curve, _) = resolved.transfer;
     let response = match (pipeline.learns_response(), camera.response) {
         (true, _) => "assumed until the bodies' print shows it; camera.response states it",

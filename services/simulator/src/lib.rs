@@ -33,6 +33,7 @@
 //! | `wander` | paths of the drones of a swarm |
 //! | `inertial` | the inertial sensor: bias, noise, mounting and clock offset |
 //! | `moment` | poses of camera and bodies at one instant |
+//! | `blend` | one picture from those of two lenses |
 //! | `eyes` | viewpoints of the image's parts: the camera's centre, or the lenses' positions |
 //! | `kept_painting` | the painted panorama, kept for the next process |
 //! | `hall`, `backdrop` | the panorama behind the bodies: painted and blurred once, then turned |
@@ -55,6 +56,7 @@
 
 mod ahead;
 mod backdrop;
+mod blend;
 mod core;
 mod cube;
 mod density;

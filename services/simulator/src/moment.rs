@@ -19,10 +19,12 @@ impl Placement {
         self.camera_from_markers.translation.vector
     }
 
-    /// The placement relative to an eye: from the eye's position, along the camera's axes.
+    /// The placement relative to an eye: where its picture shows the body from the eye's position, along
+    /// the camera's axes.
     pub(crate) fn seen_from(&self, eye: &Eye) -> Self {
         Self {
-            camera_from_markers: Translation3::from(-eye.position_m) * self.camera_from_markers,
+            camera_from_markers: eye
+                .shown(&(Translation3::from(-eye.position_m) * self.camera_from_markers)),
             ..*self
         }
     }

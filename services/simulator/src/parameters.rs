@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use flockeye_config::SimulatedSun;
+use flockeye_config::{SimulatedStitch, SimulatedSun};
 use flockeye_geometry::camera::Camera;
 
 use crate::response::CameraCurve;
@@ -30,6 +30,9 @@ pub struct WorldParameters {
     pub exposure_swing_stops: f64,
     /// Sun on the bodies; `None`: the hall's lamps alone.
     pub sun: Option<SimulatedSun>,
+    /// How the picture of an equirectangular camera is stitched; `None`: it has one centre, or two lenses
+    /// whose halves fit at infinity.
+    pub stitch: Option<SimulatedStitch>,
     /// Sensitivity: shot noise is proportional to its square root, read noise to itself. 0: no
     /// noise.
     pub iso: u32,
@@ -90,6 +93,7 @@ impl Default for WorldParameters {
             exposure_stops: 0.0,
             exposure_swing_stops: 0.0,
             sun: None,
+            stitch: None,
             iso: 400,
             read_noise: 0.0004,
             shot_noise: 0.0078,

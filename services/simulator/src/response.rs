@@ -43,6 +43,27 @@ impl CameraCurve {
         }
     }
 
+    /// This curve followed by a tone curve in the form of an S: c - `tone` sin(2 pi c) / (2 pi).
+    pub(crate) fn bent(&self, tone: f64) -> Self {
+        use std::f64::consts::TAU;
+        let toned = |code: f64| code - tone * (TAU * code).sin() / TAU;
+        let light_of = |code: f64| {
+            // Light between two codes, linearly.
+            let below = (code * 255.0).floor().clamp(0.0, 254.0);
+            let [low, high] = [0, 1].map(|step| self.light(below as u8 + step));
+            low + (high - low) * (code * 255.0 - below) as f32
+        };
+        Self::Table(std::array::from_fn(|level| {
+            let wanted = level as f64 / 255.0;
+            let (mut low, mut high) = (0.0, 1.0);
+            for _ in 0..40 {
+                let middle = (low + high) / 2.0;
+                *(if toned(middle) < wanted { &mut low } else { &mut high }) = middle;
+            }
+            light_of((low + high) / 2.0)
+        }))
+    }
+
     /// The error in the curve, as text.
     pub(crate) fn problem(&self) -> Option<String> {
         match self {
@@ -98,6 +119,18 @@ mod tests {
         assert_eq!(response.problem(), None);
         assert!((response.encoded((table[7] + table[8]) / 2.0) * 255.0 - 7.5).abs() < 1e-3);
         assert_eq!((response.encoded(0.0), response.encoded(1.0)), (0.0, 1.0));
+    }
+
+    #[test]
+    fn a_tone_curve_darkens_shadows_and_brightens_lights() {
+        let (plain, bent) = (CameraCurve::default(), CameraCurve::default().bent(0.5));
+        assert_eq!(bent.problem(), None);
+        let code = |curve: &CameraCurve, light| curve.encoded(light) * 255.0;
+        assert!(code(&bent, 0.03) < code(&plain, 0.03) - 8.0);
+        assert!(code(&bent, 0.6) > code(&plain, 0.6) + 8.0);
+        for light in [0.0, 1.0] {
+            assert!((code(&bent, light) - code(&plain, light)).abs() < 0.01);
+        }
     }
 
     #[test]

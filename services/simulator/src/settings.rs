@@ -57,6 +57,8 @@ pub fn parameters(resolved: &Resolved) -> anyhow::Result<WorldParameters> {
     let response = curve
         .or(resolved.measured_response.map(CameraCurve::Table))
         .context("camera.response: a table was not measured")?;
+    let tone = settings.stitch.map_or(0.0, |stitch| stitch.tone);
+    let response = if tone > 0.0 { response.bent(tone) } else { response };
     Ok(WorldParameters {
         seed: u64::from(settings.seed),
         camera: resolved.simulated_camera()?,
@@ -66,6 +68,7 @@ pub fn parameters(resolved: &Resolved) -> anyhow::Result<WorldParameters> {
         exposure_stops: settings.exposure_stops,
         exposure_swing_stops: settings.exposure_swing_stops,
         sun: settings.sun,
+        stitch: settings.stitch,
         read_noise: usual.read_noise * settings.noise,
         shot_noise: usual.shot_noise * settings.noise,
         observer_yaw_rate_deg_s: settings.yaw_deg_s,

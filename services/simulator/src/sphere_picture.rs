@@ -8,6 +8,7 @@ use flockeye_geometry::camera::SpherePixel;
 use nalgebra::Vector3;
 
 use crate::backdrop::Backdrop;
+use crate::blend::Blend;
 use crate::cube::CubeBackdrop;
 use crate::density::Density;
 use crate::eyes::Eye;
@@ -24,6 +25,8 @@ pub(crate) struct SpherePicture {
     backdrop: Behind,
     own_airframe: Option<AirframeCover>,
     parts: Vec<SpherePart>,
+    /// `None` where each pixel shows what one eye sees.
+    blend: Option<Blend>,
     /// Levels and sigmas of a row, or of the whole image in gusts: kept between frames to reuse the
     /// memory.
     levels: Vec<u8>,
@@ -76,6 +79,7 @@ impl SpherePicture {
             own_airframe: parameters
                 .airframes
                 .then(|| AirframeCover::new(&grid, parameters.lens_blur_px, sensor)),
+            blend: parameters.stitch.as_ref().map(Blend::new),
             parts: eyes.iter().map(|eye| SpherePart::new(eye, &grid)).collect(),
             levels: vec![0; room],
             sigmas: vec![0; room],
@@ -89,6 +93,7 @@ impl SpherePicture {
         let apart = self.parts[eye]
             .normal
             .map_or(0.0, |normal| (-normal.dot(direction)).clamp(0.0, 1.0).asin());
+        let apart = (apart - self.blend.as_ref().map_or(0.0, Blend::half_rad)).max(0.0);
         (Density::Even(self.grid.width as f64 / TAU), apart)
     }
 
@@ -122,7 +127,10 @@ impl SpherePicture {
             let sigmas = &mut self.sigmas[place];
             if let Behind::Calm(backdrop) = &self.backdrop {
                 let [left, right] = backdrop.row(row, shift);
-                if own_airframe.is_none() && layers.iter().all(|(_, _, rows)| !rows.contains(&row))
+                let is_kept = self.blend.as_ref().is_none_or(Blend::keeps_backdrop);
+                if is_kept
+                    && own_airframe.is_none()
+                    && layers.iter().all(|(_, _, rows)| !rows.contains(&row))
                 {
                     let (out_left, out_right) = out.split_at_mut(shift);
                     sensor.expose(scene.frame, row, 0, left.0, left.1, out_left);
@@ -134,14 +142,28 @@ impl SpherePicture {
                 sigmas[..shift].copy_from_slice(left.1);
                 sigmas[shift..].copy_from_slice(right.1);
             }
-            for (eye, drawing, _) in layers.iter().filter(|(_, _, rows)| rows.contains(&row)) {
-                let columns = &self.parts[*eye].columns;
-                drawing.draw_row(row, columns, &self.grid, sensor, levels, sigmas);
+            let in_row = layers.iter().filter(|(_, _, rows)| rows.contains(&row));
+            if let Some(blend) = &mut self.blend {
+                let whole = 0..width;
+                let whole = std::slice::from_ref(&whole);
+                blend.row(row, &self.grid, sensor, levels, sigmas, |lens, levels, sigmas| {
+                    for (_, drawing, _) in in_row.clone().filter(|(eye, ..)| *eye == lens) {
+                        drawing.draw_row(row, whole, &self.grid, sensor, levels, sigmas);
+                    }
+                });
+            } else {
+                for (eye, drawing, _) in in_row {
+                    let columns = &self.parts[*eye].columns;
+                    drawing.draw_row(row, columns, &self.grid, sensor, levels, sigmas);
+                }
             }
             if let Some(own_airframe) = own_airframe {
                 own_airframe.draw_row(row, sensor, levels, sigmas);
             }
             sensor.expose(scene.frame, row, 0, levels, sigmas, out);
+        }
+        if let Some(blend) = &self.blend {
+            blend.sharpen(luma, stride, [width, self.grid.height]);
         }
     }
 }

@@ -160,7 +160,7 @@ mod tests {
     #[test]
     fn each_pixel_of_the_camera_is_in_one_tile_with_its_ray() {
         for camera in cameras() {
-            let eyes = Eye::all(&camera);
+            let eyes = Eye::all(&camera, None);
             let (width, height) = (camera.width() as usize, camera.height() as usize);
             let mut count = vec![0; width * height];
             for (band, tiles) in bands(&camera, &eyes).iter().enumerate() {
@@ -189,7 +189,7 @@ mod tests {
     #[test]
     fn densities_are_those_of_the_projection() {
         for camera in cameras() {
-            let eyes = Eye::all(&camera);
+            let eyes = Eye::all(&camera, None);
             for tile in bands(&camera, &eyes).iter().flatten() {
                 let (Density::Local(_), Some(pixel)) =
                     (tile.density, eyes[tile.eye].project(&tile.axis))

@@ -96,7 +96,7 @@ impl World {
         if !problems.is_empty() {
             return Err(WorldError::Parameters(problems));
         }
-        let eyes = Eye::all(&parameters.camera);
+        let eyes = Eye::all(&parameters.camera, parameters.stitch.as_ref());
         let near = parameters.distance_m[0];
         let [tilt, swing] = [parameters.tilt_deg, parameters.yaw_swing_deg_s].map(f64::to_radians);
         // Gusts displace both drones.

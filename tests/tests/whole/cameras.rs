@@ -72,6 +72,35 @@ fn a_stitched_camera_with_two_lenses_flies() {
     assert_sound(&fly("stitched", STITCHED, &[]));
 }
 
+/// Lenses 16 mm apart, stitched for 3 m, with all that such a camera does to its picture. Nobody
+/// states any of it. Before the neighbour crosses the border, poses are off by 7 mm.
+#[test]
+fn a_stitched_camera_that_nobody_knows_is_learned() {
+    let real = [
+        "simulator.seed=3",
+        "simulator.yaw_deg_s=40",
+        "simulator.lens_distance_m=0.016",
+        "simulator.stitch.fits_at_m=3",
+        "simulator.stitch.blend_deg=3",
+        "simulator.stitch.turn_deg=0.1",
+        "simulator.stitch.darker=0.07",
+        "simulator.stitch.sharpening=0.3",
+        "simulator.stitch.tone=0.2",
+    ];
+    let (report, output) = fly("unknown", "camera: {width: 3840, height: 1920}\n", &real);
+    let all = report["bins"].as_array().and_then(|bins| bins.last()).expect("there are bins");
+    let share = |key: &str| all[key].as_f64().unwrap_or_else(|| panic!("{key} in {report}"));
+    assert!(share("measured") >= 0.98 * share("eligible"), "{report}\n{output}");
+    let position_mm = &all["published"]["position_mm"];
+    let [median, worst] = ["median", "worst"].map(|key| position_mm[key].as_f64());
+    assert!(median.is_some_and(|mm| mm < 1.0), "it is learned: {report}\n{output}");
+    assert!(worst.is_some_and(|mm| (5.0..9.0).contains(&mm)), "not at once: {report}");
+    // The deviations say both, before and after.
+    let nees = report["nees"]["measurements"]["position"]["mean"].as_f64();
+    assert!(nees.is_some_and(|nees| (0.5..4.0).contains(&nees)), "{report}");
+    assert_eq!(report["false_poses"].as_u64(), Some(0), "{report}");
+}
+
 #[test]
 fn a_stereographic_camera_flies() {
     assert_sound(&fly("stereographic", STEREOGRAPHIC, &[]));

@@ -29,7 +29,7 @@ fn pictures_are_coded_as_video_unless_the_source_has_none() {
 }
 
 #[test]
-fn only_fisheye_lenses_that_are_not_simulated_are_off_by_default() {
+fn lenses_that_nobody_knows_are_off_by_default() {
     let error_px = |input: &str, projection: Projection, stated: Option<f64>| {
         let mut pipeline = parse(&format!("source: {{input: {input}}}")).unwrap();
         (pipeline.camera.projection, pipeline.camera.lens_error_px) = (projection, stated);
@@ -37,8 +37,26 @@ fn only_fisheye_lenses_that_are_not_simulated_are_off_by_default() {
     };
     assert_eq!(error_px("flight.mp4", Projection::DualFisheye, None), 0.3);
     assert_eq!(error_px("sim", Projection::DualFisheye, None), 0.0);
-    assert_eq!(error_px("flight.mp4", Projection::Equirectangular, None), 0.0);
+    assert_eq!(error_px("flight.mp4", Projection::Equirectangular, None), 0.15);
+    assert_eq!(error_px("flight.mp4", Projection::Stereographic, None), 0.0);
+    assert_eq!(error_px("sim", Projection::Equirectangular, None), 0.0);
     assert_eq!(error_px("sim", Projection::Equirectangular, Some(2.0)), 2.0);
+}
+
+#[test]
+fn lenses_are_learned_where_nobody_states_one_centre() {
+    let learns = |text: &str| {
+        let pipeline = parse(text).unwrap();
+        (pipeline.learns_lenses(), pipeline.learns_response())
+    };
+    let of_video = |camera: &str| learns(&format!("source: {{input: f.mp4}}\ncamera: {camera}"));
+    assert_eq!(of_video("{}"), (true, true));
+    assert_eq!(of_video("{lens_distance_m: 0.016, response: srgb}"), (true, false));
+    assert_eq!(of_video("{lens_distance_m: 0}"), (false, true));
+    assert_eq!(of_video("{projection: stereographic}"), (false, true));
+    assert_eq!(learns("{}"), (false, false));
+    assert_eq!(learns("simulator: {lens_distance_m: 0.016}"), (true, false));
+    assert_eq!(learns("simulator: {stitch: {blend_deg: 3}}"), (true, true));
 }
 
 #[test]

@@ -24,7 +24,8 @@ pub(crate) fn camera(settings: &CameraSettings) -> Result<Camera, SettingError> 
                     ),
                 ));
             }
-            CameraModel::Equirectangular { lens_distance_m: settings.lens_distance_m }
+            let lens_distance_m = settings.lens_distance_m.unwrap_or(0.0);
+            CameraModel::Equirectangular { lens_distance_m }
         }
         Projection::DualFisheye => {
             let [one, other] = settings.lenses.as_slice() else {
@@ -61,9 +62,7 @@ pub(crate) fn camera(settings: &CameraSettings) -> Result<Camera, SettingError> 
 pub(crate) fn simulated_camera(pipeline: &Pipeline) -> Result<Camera, SettingError> {
     let simulator = &pipeline.simulator;
     let mut settings = pipeline.camera.clone();
-    if let Some(lens_distance_m) = simulator.lens_distance_m {
-        settings.lens_distance_m = lens_distance_m;
-    }
+    settings.lens_distance_m = simulator.lens_distance_m.or(settings.lens_distance_m);
     if !simulator.lenses.is_empty() {
         settings.lenses.clone_from(&simulator.lenses);
     }

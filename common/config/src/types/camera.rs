@@ -22,9 +22,10 @@ pub struct CameraSettings {
     /// The camera model.
     pub projection: Projection,
     /// Of an equirectangular camera: the distance between the two lenses it was stitched from, one
-    /// looking ahead and one back, metres; 0 for a camera with one centre.
+    /// looking ahead and one back, metres; 0 for a camera with one centre. Left out: 0 for the simulator;
+    /// for other sources it is learned from bodies across the border between the lenses.
     #[schemars(range(min = 0.0, max = 1.0))]
-    pub lens_distance_m: f64,
+    pub lens_distance_m: Option<f64>,
     /// Of a dual fisheye camera: its two lenses, the one that looks ahead first.
     #[schemars(length(max = 2))]
     pub lenses: Vec<FisheyeLens>,
@@ -33,7 +34,8 @@ pub struct CameraSettings {
     pub stereographic_field_deg: f64,
     /// How far rays of this model are off, in pixels of the picture's middle, one standard deviation.
     /// Neighbouring rays have nearly the same error.
-    /// Left out: 0.3 for lenses of a dual fisheye camera, 0 for other cameras and for the simulator.
+    /// Left out: 0.3 for lenses of a dual fisheye camera, 0.15 for an equirectangular picture of which the
+    /// lenses are learned, 0 for other cameras and for a simulated one that is as configured.
     #[schemars(range(min = 0.0, max = 100.0))]
     pub lens_error_px: Option<f64>,
     /// The distance for which rays are exact where no neighbour is predicted, metres. It matters only if
@@ -71,7 +73,7 @@ impl Default for CameraSettings {
             width: 3840,
             height: 1920,
             projection: Projection::Equirectangular,
-            lens_distance_m: 0.0,
+            lens_distance_m: None,
             lenses: Vec::new(),
             stereographic_field_deg: 300.0,
             lens_error_px: None,

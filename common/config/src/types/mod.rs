@@ -37,7 +37,7 @@ pub use profile::{Flow, FrameLimit, Profile};
 pub use recording::{RecordedFrames, Recording, RecordingTrigger};
 pub use ros2::Ros2;
 pub use search::SearchSettings;
-pub use simulator::{SimulatedInertial, SimulatedSun, SimulatedSwarm, Simulator};
+pub use simulator::{SimulatedInertial, SimulatedStitch, SimulatedSun, SimulatedSwarm, Simulator};
 pub use source::{AtEnd, Source};
 pub use stages::{Restart, Scheduling, StageProcess, Stages, may_have_replicas, usual_nice};
 
@@ -114,17 +114,33 @@ impl Pipeline {
     /// deviation.
     ///
     /// Where the setting is left out, a fisheye lens has 0.3. Published calibrations have residuals
-    /// of 0.1 to 0.5 pixels.
+    /// of 0.1 to 0.5 pixels. A stitched picture of lenses that nobody states has 0.15: its maker
+    /// knows the lenses, but a stitcher bends pictures to make them fit.
     pub fn lens_error_px(&self) -> f64 {
-        let is_fisheye = self.camera.projection == Projection::DualFisheye;
         let is_simulated = self.source.stage() == StageName::Simulator;
-        let usual = if is_fisheye && !is_simulated { 0.3 } else { 0.0 };
+        let usual = match self.camera.projection {
+            Projection::DualFisheye if !is_simulated => 0.3,
+            Projection::Equirectangular if self.learns_lenses() => 0.15,
+            _ => 0.0,
+        };
         self.camera.lens_error_px.unwrap_or(usual)
     }
 
     /// Whether the camera's response is learned, because nobody states it.
     pub fn learns_response(&self) -> bool {
-        self.camera.response.is_none() && self.source.stage() != StageName::Simulator
+        let is_as_stated =
+            self.source.stage() == StageName::Simulator && self.simulator.stitch.is_none();
+        !is_as_stated && self.camera.response.is_none()
+    }
+
+    /// Whether a stitched camera's lenses are learned: what nobody states, and how the halves of its
+    /// pictures were joined. A distance of 0 states a camera with one centre.
+    pub fn learns_lenses(&self) -> bool {
+        let is_as_stated = self.source.stage() == StageName::Simulator
+            && self.simulator.lens_distance_m.is_none()
+            && self.simulator.stitch.is_none();
+        let CameraSettings { projection, lens_distance_m, .. } = self.camera;
+        projection == Projection::Equirectangular && !is_as_stated && lens_distance_m != Some(0.0)
     }
 
     /// Whether an inertial sensor is configured, wherever its samples come from.

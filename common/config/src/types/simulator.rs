@@ -61,6 +61,9 @@ pub struct Simulator {
     /// `camera.lens_distance_m` as it really is, metres. Left out: as the camera's.
     #[schemars(range(min = 0.0, max = 1.0))]
     pub lens_distance_m: Option<f64>,
+    /// How the picture of an equirectangular camera is stitched from those of two lenses. Left out: perfectly, for
+    /// infinity. Given, the camera is one that nobody knows: its lenses and its response are learned.
+    pub stitch: Option<SimulatedStitch>,
     /// `camera.lenses` as they really are; empty: as the camera's.
     #[schemars(length(max = 2))]
     pub lenses: Vec<FisheyeLens>,
@@ -100,10 +103,40 @@ impl Default for Simulator {
             inertial: SimulatedInertial::default(),
             bodies: None,
             lens_distance_m: None,
+            stitch: None,
             lenses: Vec::new(),
             swarm: None,
         }
     }
+}
+
+/// How the simulated camera stitches its picture, and what it does with it then. The zeros are a perfect camera.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct SimulatedStitch {
+    /// The distance of things whose halves fit together, metres; 0: infinity.
+    #[schemars(range(min = 0.0, max = 1000.0))]
+    pub fits_at_m: f64,
+    /// Width of the strip in which the pictures of both lenses are mixed, degrees.
+    #[schemars(range(min = 0.0, max = 30.0))]
+    pub blend_deg: f64,
+    /// By how much one lens is turned against the other, degrees.
+    #[schemars(range(min = 0.0, max = 5.0))]
+    pub turn_deg: f64,
+    /// By how much the lenses' curves are off at the border, outwards; it falls with the third power of the angle from
+    /// the axis. Degrees.
+    #[schemars(range(min = -5.0, max = 5.0))]
+    pub rim_deg: f64,
+    /// By how much the picture of the lens behind is darker, as a share of its light.
+    #[schemars(range(min = 0.0, max = 0.9))]
+    pub darker: f64,
+    /// Sharpening: how many times the difference between a pixel and its surroundings is added to it.
+    #[schemars(range(min = 0.0, max = 3.0))]
+    pub sharpening: f64,
+    /// By how much the tone curve is bent to an S, from 0 to 1: shadows darker and lights brighter than the camera's
+    /// response has them.
+    #[schemars(range(min = 0.0, max = 0.9))]
+    pub tone: f64,
 }
 
 /// The simulated sun.

@@ -130,6 +130,14 @@ impl Branch {
 }
 
 impl Belief {
+    /// Moves all branches to the corrected poses. Their covariances stay.
+    pub(super) fn correct(&mut self, corrected: &impl Fn(&PoseEstimate) -> PoseEstimate) {
+        let rivals = self.rivals.iter_mut().map(|rival| &mut rival.branch);
+        for Branch { track, .. } in rivals.chain([&mut self.best]) {
+            track.camera_from_markers = corrected(&track.pose()).camera_from_markers;
+        }
+    }
+
     /// Begins a track with its first measurement.
     fn begin(
         stamp_s: f64,
@@ -286,6 +294,9 @@ impl Belief {
             let mut is_matched = false;
             for (pose, behind) in [(&measured.pose, 0.0)].into_iter().chain(second) {
                 let mut branch = known.clone();
+                if let Some(jump) = &measured.jump {
+                    branch.track.loosen(jump);
+                }
                 match branch.track.update(stamp_s, pose, *GATE, &policy.motion, ego) {
                     Ok(_) => {
                         is_matched = true;

@@ -94,6 +94,9 @@ pub struct FrameMeasurement {
     pub rival: Option<RivalPose>,
     /// Whether the picture alone proves the pose, so that it may replace a stale track.
     pub is_proven: bool,
+    /// Covariance of a jump of all measured poses since the last measurement, as of a body that comes
+    /// before another lens: position (m), then rotation vector (rad).
+    pub jump: Option<Matrix6<f64>>,
 }
 
 /// A pose of a neighbour that may be the right one instead of a likelier one. Of the two, one is
@@ -237,6 +240,22 @@ impl LifeCycle {
     pub fn refilter(&mut self, since_s: f64, ego: &EgoRotation) {
         let first = self.events.partition_point(|event| event.stamp_s < since_s);
         self.refilter_from(first, ego);
+    }
+
+    /// Corrects the poses of all measurements, and of the state before them, and filters anew.
+    pub fn correct(
+        &mut self,
+        corrected: impl Fn(&PoseEstimate) -> PoseEstimate,
+        ego: &EgoRotation,
+    ) {
+        self.base.iter_mut().for_each(|belief| belief.correct(&corrected));
+        for measured in self.events.iter_mut().filter_map(|event| event.measured.as_mut()) {
+            measured.pose = corrected(&measured.pose);
+            if let Some(rival) = &mut measured.rival {
+                rival.pose = corrected(&rival.pose);
+            }
+        }
+        self.refilter_from(0, ego);
     }
 
     pub(super) fn refilter_from(&mut self, first: usize, ego: &EgoRotation) {

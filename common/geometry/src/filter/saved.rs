@@ -48,8 +48,11 @@ impl SavedLife {
         self.base.as_ref().map_or(Ok(()), Belief::check)?;
         for (stamp_s, measured) in &self.said {
             match measured {
-                Some(FrameMeasurement { pose, rival, .. }) => {
+                Some(FrameMeasurement { pose, rival, jump, .. }) => {
                     check(*stamp_s, pose)?;
+                    if !jump.iter().flatten().all(|number| number.is_finite()) {
+                        return Err(FilterError::Unusable { what: "jump" });
+                    }
                     rival.map_or(Ok(()), |RivalPose { pose, lead }| match lead.is_finite() {
                         false => Err(FilterError::Unusable { what: "lead" }),
                         true => check(*stamp_s, &pose),
@@ -90,12 +93,12 @@ mod tests {
         let mut mirrored = pose;
         mirrored.camera_from_markers.rotation = UnitQuaternion::from_euler_angles(0.8, 0.0, 0.0);
         let rival = Some(RivalPose { pose: mirrored, lead: 1.0 });
-        let measured = FrameMeasurement { pose, rival, is_proven: false };
+        let measured = FrameMeasurement { pose, rival, is_proven: false, jump: None };
         for k in 0..30 {
             known.measured(f64::from(k) / 30.0, &measured, &ego).unwrap();
         }
         type Spoil = fn(&mut SavedLife, &mut Belief);
-        let spoil: [(&str, Spoil); 11] = [
+        let spoil: [(&str, Spoil); 12] = [
             ("time", |_, base| base.best.track.stamp_s = f64::NAN),
             ("velocity", |_, base| base.best.track.velocity.y = f64::INFINITY),
             ("covariance of the rate", |_, base| base.best.track.covariance[(9, 9)] = f64::NAN),
@@ -105,6 +108,7 @@ mod tests {
             ("measurement", |saved, _| spoiled(saved).pose.covariance *= -1.0),
             ("rival", |saved, _| spoiled(saved).rival.as_mut().unwrap().pose.covariance *= -1.0),
             ("lead", |saved, _| spoiled(saved).rival.as_mut().unwrap().lead = f64::NAN),
+            ("jump", |saved, _| spoiled(saved).jump = Some(Matrix6::repeat(f64::NAN))),
             ("rival's track", |_, base| base.rivals[0].branch.track.rate.x = f64::NAN),
             ("rival's odds", |_, base| base.rivals[0].odds.frame = f64::NAN),
         ];

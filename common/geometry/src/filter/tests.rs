@@ -332,7 +332,8 @@ fn a_turn_that_is_known_late_counts_as_if_known_in_time() {
     for (k, turn) in turns.iter().enumerate() {
         let seen = seen_at(&turns[..=k], &world);
         ego.add(turn);
-        let measured = FrameMeasurement { pose: found(seen), rival: None, is_proven: false };
+        let measured =
+            FrameMeasurement { pose: found(seen), rival: None, is_proven: false, jump: None };
         in_time.measured(turn.later_s, &measured, &ego).unwrap();
         late.measured(turn.later_s, &measured, &late_ego).unwrap();
         late_ego.add(turn);

@@ -1,7 +1,7 @@
 //! Options and results of an alignment.
 
 use flockeye_geometry::pose::PoseEstimate;
-use nalgebra::{Isometry3, Matrix6};
+use nalgebra::{Isometry3, Matrix5, Matrix6, Vector5};
 
 use super::evidence::Evidence;
 
@@ -64,6 +64,8 @@ pub struct Alignment {
     pub visible_share: f64,
     /// The camera's response as the print shows it. `None` where it shows nothing of it.
     pub response: Option<SeenResponse>,
+    /// What a body across the border of a stitched picture shows of the camera.
+    pub stitch: Option<SeenStitch>,
 }
 
 /// The camera's response from light to code values, as the print of one body shows it.
@@ -76,6 +78,16 @@ pub struct SeenResponse {
     pub gamma: f64,
     /// Variance of `gamma`, from this body's pixels alone.
     pub variance: f64,
+}
+
+/// The constants of a stitched camera ([`Stitch`](flockeye_geometry::camera::Stitch)), as a body on
+/// the border of its halves shows them.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SeenStitch {
+    /// Their inverse covariance, by the picture alone.
+    pub information: Matrix5<f64>,
+    /// The information times the constants.
+    pub moment: Vector5<f64>,
 }
 
 impl Alignment {

@@ -71,8 +71,11 @@ fn draw(patch: &Patch, print: &BodyPrint, state: &State) -> Vec<f32> {
     let scene = Scene::new(print, state, patch);
     let margin_px = blur_margin_px(&state.spread.whole());
     let mut model = patch.radiance.clone();
-    for index in 0..print.facets.len() {
-        let Some((visible, blurred)) = scene.facet(index) else { continue };
+    let halves = (0..).zip(&scene.halves);
+    let facets = halves
+        .flat_map(|(half, seen)| (0..print.facets.len()).map(move |index| (half, seen, index)));
+    for (half, seen, index) in facets {
+        let Some((visible, blurred)) = seen.facet(index) else { continue };
         let [white, black] = state.levels[index];
         let bounds = |axis: usize, size: usize| {
             let (low, high) = visible.span_px(axis);
@@ -87,7 +90,7 @@ fn draw(patch: &Patch, print: &BodyPrint, state: &State) -> Vec<f32> {
                 let covered = blurred.coverage(at).value;
                 // False for a NaN, as where the plane is seen edge-on.
                 let is_covered = covered > 0.0;
-                if !is_covered {
+                if !is_covered || !patch.shows_half(half, x, y) {
                     continue;
                 }
                 let place = y * patch.width + x;

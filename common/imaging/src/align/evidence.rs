@@ -127,7 +127,9 @@ pub(super) fn compare(
         if print.facets[index].cells.is_none() {
             continue;
         }
-        let Some((visible, blurred)) = scene.facet(index) else { continue };
+        let Some((visible, blurred)) = scene.facet(usize::from(sample.half), index) else {
+            continue;
+        };
         let at = visible.point(&sample.direction(patch));
         let is_inside = sample.is_inside();
         if !is_inside && blurred.coverage(at).value < MIN_COVERAGE {

@@ -64,7 +64,8 @@ impl Rows {
         let mut shares: Vec<FacetShares> = Vec::with_capacity(samples.len());
         let mut radiances = Vec::with_capacity(samples.len());
         for sample in samples {
-            let (mut row, used) = scene.shares(sample.facets(), &sample.direction(patch));
+            let (mut row, used) =
+                scene.shares(usize::from(sample.half), sample.facets(), &sample.direction(patch));
             for (facet, ..) in &mut row[..used] {
                 *facet = slot(*facet)?;
             }

@@ -12,6 +12,7 @@
 //! | `alignment` | options and results |
 //! | `print` | what is printed on a body |
 //! | `patch`, `pinhole` | what radiance the view shows around the body, and where its pixels look |
+//! | `halves` | which halves of a stitched picture show the body, and where |
 //! | `spread` | the point spread of a moving body, and its unknowns |
 //! | `state` | the unknowns, their places in the normal equations, their priors |
 //! | `model` | the radiance that each pixel should have (`geometry`: where a pixel sees a facet; `blurred`: a facet behind a Gaussian) |
@@ -26,7 +27,7 @@
 //! | `depiction` | the body's pixels beside those of its model, for people |
 //!
 //! Each module uses only modules above it in this order: pinhole, print, evidence and alignment
-//! types, then patch, spread, state, model, samples, then the rest, and `mod.rs` at last.
+//! types, then halves, patch, spread, state, model, samples, then the rest, and `mod.rs` at last.
 
 mod acceptance;
 mod acquire;
@@ -34,6 +35,7 @@ mod alignment;
 mod covariance;
 mod depiction;
 mod evidence;
+mod halves;
 mod levels;
 mod model;
 mod normal_equations;
@@ -52,13 +54,16 @@ pub use acceptance::{
     least_log_odds_predicted,
 };
 pub use acquire::{Place, Templates};
-pub use alignment::{AlignError, AlignOptions, Alignment, SeenResponse, VIDEO_COVARIANCE_SCALE};
+pub use alignment::{
+    AlignError, AlignOptions, Alignment, SeenResponse, SeenStitch, VIDEO_COVARIANCE_SCALE,
+};
 pub use depiction::{Depiction, depict};
 pub use evidence::Evidence;
 pub use patch::{Motion, Picture};
 pub use print::{BodyPrint, MAX_CELLS, PrintError};
 
-use flockeye_geometry::pose::turned_covariance;
+use flockeye_geometry::camera::Half;
+use flockeye_geometry::pose::{PoseEstimate, turned_covariance};
 use nalgebra::{Isometry3, Matrix2, Matrix6, Unit, Vector3};
 
 use crate::light::LinearLight;
@@ -78,6 +83,17 @@ const MIN_MOTION_PX: f64 = 1e-3;
 /// the background bleeds in.
 const COARSE_BLUR_CELLS: f64 = 0.45;
 const COARSE_ITERATIONS: usize = 6;
+/// Least log odds of a body in each half of a stitched picture that shows the shift between them. Read
+/// from a curve (docs/results/constants.md#stitched-cameras).
+const HALF_LOG_ODDS: f64 = 2.0;
+/// Angle by which the fits of a body in both halves of a picture, and in one, may differ if the camera
+/// has one centre: a fraction of a pixel.
+const ONE_CENTRE_RAD: f64 = 1e-3;
+/// Deviation of the disparity between the halves of a stitched picture, in cells, from which on a fit
+/// is tried from several: half a cell is what a fit finds back from.
+const MISLEADING_CELLS: f64 = 0.4;
+/// Side of a cell from which on a part of a body shows its print, pixels.
+const LEAST_CELL_PX: f64 = 2.5;
 /// Most fits without the parts that prove to be occluded.
 const MAX_REFITS: usize = 2;
 /// Standard deviation of the error that all edges share, pixels of the sphere image.
@@ -103,8 +119,31 @@ pub fn align(
     options: &AlignOptions,
 ) -> Result<Alignment, AlignError> {
     let view = PreparedView::new(print, picture, start, options, 0.0)?;
-    let start = view.state(print, start);
-    view.align(print, start, options)
+    let state = view.state(print, start);
+    if view.knows_halves(print, &state) {
+        return view.align(print, state, &[], options);
+    }
+    let mut others = view.other_constants(&state);
+    // The camera may also have one centre. Then no pixel is mixed, and both halves are one picture.
+    let of_one_centre = Picture { stitch: None, ..*picture };
+    let one_centre = PreparedView::new(print, &of_one_centre, start, options, 0.0)?;
+    let one = one_centre.align(print, one_centre.state(print, start), &[], options).ok();
+    others.extend(one.iter().map(|one| view.state(print, &one.camera_from_markers)));
+    let two = view.align(print, state, &others, options);
+    match one {
+        Some(one) if two.as_ref().map_or(true, |two| is_one_centre(two, &one)) => {
+            Ok(Alignment { stitch: two.ok().and_then(|two| two.stitch), ..one })
+        }
+        _ => two,
+    }
+}
+
+/// Whether a body that was fitted in `two` halves of a stitched picture is where the fit of `one`
+/// picture has it, and the halves have no more evidence for themselves.
+fn is_one_centre(two: &Alignment, one: &Alignment) -> bool {
+    let place = one.camera_from_markers.translation.vector;
+    let apart = two.camera_from_markers.translation.vector - place;
+    apart.norm() < ONE_CENTRE_RAD * place.norm() && one.evidence.log_odds >= two.evidence.log_odds
 }
 
 /// Start poses (`camera_from_markers`) for alignment of `print` at a `place`, in any attitude: the
@@ -131,7 +170,11 @@ pub fn starts_at(
     let lens_px = prior.spread.gaussian[(0, 0)].sqrt();
     let camera_from_patch = patch.view_from_camera.inverse();
     let starts = acquire::starts(templates, &patch, &middle, range_m, lens_px);
-    starts.into_iter().map(|start| camera_from_patch * start).collect()
+    let place = direction_in_camera * range_m;
+    let camera_from_shown = picture.stitch.map_or(Isometry3::identity(), |stitch| {
+        stitch.shown_from_camera(Half::of(&place), &place).inverse()
+    });
+    starts.into_iter().map(|start| camera_from_shown * (camera_from_patch * start)).collect()
 }
 
 fn is_valid(start: &Isometry3<f64>, picture: &Picture<'_>) -> bool {
@@ -170,7 +213,9 @@ impl<'p> PreparedView<'p> {
         let path_rad = rate_in_camera * exposure_s;
         let lens_rad = options.blur_px / picture.pixels_per_radian;
         let beside_rad = PATCH_MARGIN_BLURS * lens_rad.hypot(path_rad.norm() / 12f64.sqrt());
-        let margin_rad = margin_rad + beside_rad;
+        let place = start.translation.vector;
+        let moved_rad = picture.stitch.map_or(0.0, |stitch| stitch.extent_rad(&place).0);
+        let margin_rad = margin_rad + beside_rad + moved_rad;
         let patch = Patch::cut(picture, start, print.radius_m(), margin_rad, options.max_body_px)
             .ok_or(AlignError::NotInView)?;
         let magnification = patch.pinhole.focal_px / picture.pixels_per_radian;
@@ -187,12 +232,15 @@ impl<'p> PreparedView<'p> {
         let path_px = seen_px(path_rad) - seen_px(Vector3::zeros());
         // The result's covariance is multiplied by these, so the prior counts as much more.
         let scale = options.covariance_scale * options.coding_covariance_scale;
-        let pose = options
-            .predicted
-            .and_then(|predicted| PosePrior::new(&patch.view_from_camera, &predicted, scale));
+        let pose = options.predicted.and_then(|predicted| {
+            let covariance = predicted.covariance + patch.halves.of_predictions();
+            let predicted = PoseEstimate { covariance, ..predicted };
+            PosePrior::new(&patch.view_from_camera, &predicted, scale)
+        });
         let response_sigma = picture.response_sigma;
         let usual = Prior::new(blur_px, path_px, motion, magnification);
-        let prior = Prior { pose, response_sigma, ..usual };
+        let constants = patch.halves.prior().and_then(|covariance| covariance.try_inverse());
+        let prior = Prior { pose, response_sigma, constants, ..usual };
         Ok(Self { patch, prior, light: picture.light })
     }
 
@@ -213,26 +261,79 @@ impl<'p> PreparedView<'p> {
         &self,
         print: &BodyPrint,
         start: State,
+        others: &[State],
         options: &AlignOptions,
     ) -> Result<Alignment, AlignError> {
         let Self { patch, prior, .. } = self;
-        let state = if options.coarse_first { self.coarse(print, start) } else { start };
-        let (fit, evidence) = self.fit_visible(print, state, options.max_iterations)?;
+        let first = if options.coarse_first { self.coarse(print, start) } else { start };
+        let others = others.iter().map(|other| self.coarse(print, other.clone()));
+        let mut best: Result<(BodyFit, Evidence), AlignError> = Err(AlignError::Nothing);
+        for start in [first].into_iter().chain(others) {
+            let tried = self.fit_visible(print, start, options.max_iterations);
+            let log_odds = |tried: &Result<(BodyFit, Evidence), AlignError>| {
+                tried.as_ref().map_or(f64::NEG_INFINITY, |(_, evidence)| evidence.log_odds)
+            };
+            if best.is_err() || log_odds(&tried) > log_odds(&best) {
+                best = tried;
+            }
+        }
+        let (fit, evidence) = best?;
         let along_sight = self.common_error(print, &fit.patch_from_markers);
         let rim = 1.0 + OCCLUSION_RIM * (1.0 - fit.visible_share).powi(2);
         let scale = rim * options.covariance_scale;
         let shown = fit.covariance * scale + along_sight;
         let coded = fit.covariance * (scale * options.coding_covariance_scale) + along_sight;
         let camera_from_patch = patch.view_from_camera.inverse();
+        let camera_from_markers = camera_from_patch * fit.patch_from_markers;
+        let mixed = patch.halves.mixed_covariance(&camera_from_markers.translation.vector);
         Ok(Alignment {
-            camera_from_markers: camera_from_patch * fit.patch_from_markers,
-            covariance: turned_covariance(&camera_from_patch, &coded),
+            camera_from_markers,
+            covariance: turned_covariance(&camera_from_patch, &coded) + mixed,
             is_precise: is_precise(&shown),
             stretch_px2: prior.stretch_px2(&fit.state.spread),
             evidence,
             visible_share: fit.visible_share,
             response: fit.bend.and_then(|seen| seen.response(self.light)),
+            stitch: fit.stitch.filter(|_| self.both_halves_show_print(print, &fit)),
         })
+    }
+
+    /// Whether each half of a stitched picture shows cells of the body, so that their shift against
+    /// each other is that of the lenses.
+    fn both_halves_show_print(&self, print: &BodyPrint, fit: &BodyFit) -> bool {
+        let shows = |half: u8| {
+            let own: Vec<Sample> =
+                fit.samples.iter().filter(|sample| sample.half == half).copied().collect();
+            let per_pixel = self.prior.samples_per_pixel();
+            compare(&self.patch, print, &fit.state, &own, per_pixel).0.log_odds > HALF_LOG_ODDS
+        };
+        (0..).take(self.patch.halves.count()).all(shows)
+    }
+
+    /// Whether a fit needs no other starts: the disparity between the halves is known so well that the
+    /// print cannot mislead it, or one half shows so little that nothing could be learned.
+    fn knows_halves(&self, print: &BodyPrint, start: &State) -> bool {
+        let halves = &self.patch.halves;
+        let (_, deviation_rad) = halves.most_uncertain();
+        let deviation_px = deviation_rad * self.patch.pinhole.focal_px;
+        let cell_px = self.cell_px(print, &start.patch_from_markers);
+        !halves.show_both_sides(print.radius_m())
+            || cell_px < LEAST_CELL_PX
+            || deviation_px < MISLEADING_CELLS * cell_px
+    }
+
+    /// Other starts for uncertain constants of a stitched camera: half a deviation and one to either side. A track
+    /// has followed one of the halves, so one of them shows the body where it does in `start`.
+    fn other_constants(&self, start: &State) -> Vec<State> {
+        let halves = &self.patch.halves;
+        let (deviation, _) = halves.most_uncertain();
+        let other = |half: Half, share: f64| {
+            let constants = deviation * share;
+            let pose = halves.shown_alike(half, &start.patch_from_markers, &constants);
+            State { patch_from_markers: pose, constants, ..start.clone() }
+        };
+        let of_half = |half: Half| [0.5, -0.5, 1.0, -1.0].map(|share| other(half, share));
+        Half::ALL.into_iter().flat_map(of_half).collect()
     }
 
     /// The state after a fit to the patch with more blur; `start` where that fails.

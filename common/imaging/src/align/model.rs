@@ -32,6 +32,7 @@ use nalgebra::{Isometry3, Matrix2, Vector2, Vector3};
 use super::patch::Patch;
 use super::pinhole::Pinhole;
 use super::print::BodyPrint;
+use super::spread::Spread;
 use super::state::{CODE_BLUR, COMMON, RESPONSE, SPREAD, State};
 use blurred::BlurredFacet;
 use geometry::{VisibleFacet, visible_facets};
@@ -51,14 +52,52 @@ const MAX_FACETS: usize = 3;
 /// The facets in one state, as the camera sees them.
 pub(super) struct Scene<'p> {
     pub print: &'p BodyPrint,
-    /// The facets that face the camera; `None` for the others.
-    pub visible: Vec<Option<VisibleFacet>>,
-    /// The facets with the point spread in their planes.
-    pub blurred: Vec<Option<BlurredFacet<'p>>>,
+    /// The facets in each half of a stitched picture that shows them; elsewhere in the one picture.
+    pub halves: Vec<SeenFacets<'p>>,
     /// Curvature of the camera's curve; see [`crate::light::LinearLight::bend`].
     pub code_bend: f64,
     /// How much of a wrong response's effect is left after the smoothing of code values.
     pub response_share: f64,
+}
+
+/// The facets as one half of a picture shows them.
+#[derive(Clone)]
+pub(super) struct SeenFacets<'p> {
+    /// The facets that face the camera; `None` for the others.
+    pub visible: Vec<Option<VisibleFacet>>,
+    /// The facets with the point spread in their planes.
+    pub blurred: Vec<Option<BlurredFacet<'p>>>,
+}
+
+impl<'p> SeenFacets<'p> {
+    fn new(
+        print: &'p BodyPrint,
+        patch_from_markers: &Isometry3<f64>,
+        spread: &Spread,
+        pinhole: &Pinhole,
+        extra_blur_px: f64,
+    ) -> Self {
+        let visible = visible_facets(print, patch_from_markers, pinhole);
+        let blur = spread.of_part() + Matrix2::identity() * extra_blur_px.powi(2);
+        let blurred = print
+            .facets
+            .iter()
+            .zip(&visible)
+            .map(|(facet, visible)| {
+                let per_pixel = visible.as_ref()?.facet_from_pixel;
+                let covariance = per_pixel * blur * per_pixel.transpose();
+                let path = per_pixel * spread.path_px;
+                Some(BlurredFacet::new(facet, &covariance, &path, spread.parts))
+            })
+            .collect();
+        Self { visible, blurred }
+    }
+
+    /// The facet, if it faces the camera.
+    #[inline]
+    pub(super) fn facet(&self, index: usize) -> Option<(&VisibleFacet, &BlurredFacet<'p>)> {
+        Some((self.visible[index].as_ref()?, self.blurred[index].as_ref()?))
+    }
 }
 
 /// Index, blurred white share and blurred black share of each facet in a pixel, and their count.
@@ -66,8 +105,21 @@ pub(super) type FacetShares = ([(usize, f64, f64); MAX_FACETS], usize);
 
 impl<'p> Scene<'p> {
     pub(super) fn new(print: &'p BodyPrint, state: &State, patch: &Patch) -> Self {
-        let mut scene =
-            Self::of(print, state, &patch.pinhole, patch.extra_blur_px, patch.code_bend);
+        let Patch { pinhole, extra_blur_px, code_bend, .. } = patch;
+        let mut halves: Vec<SeenFacets<'p>> = patch
+            .halves
+            .poses(&state.patch_from_markers, &state.constants)
+            .map(|pose| SeenFacets::new(print, &pose, &state.spread, pinhole, *extra_blur_px))
+            .collect();
+        if let [one, other] = &mut halves[..] {
+            // The unknowns of a facet are the same in both halves.
+            for index in 0..print.facets.len() {
+                if one.visible[index].is_none() || other.visible[index].is_none() {
+                    (one.visible[index], other.visible[index]) = (None, None);
+                }
+            }
+        }
+        let mut scene = Self { print, halves, code_bend: *code_bend, response_share: 1.0 };
         // The camera encodes light that lens and motion have blurred. Smoothing spreads the effect over
         // the wider edge, and does not change its sum.
         let blur_px2 = state.spread.whole().trace() / 2.0;
@@ -84,38 +136,33 @@ impl<'p> Scene<'p> {
         extra_blur_px: f64,
         code_bend: f64,
     ) -> Self {
-        let visible = visible_facets(print, &state.patch_from_markers, pinhole);
-        let blur = state.spread.of_part() + Matrix2::identity() * extra_blur_px.powi(2);
-        let blurred = print
-            .facets
-            .iter()
-            .zip(&visible)
-            .map(|(facet, visible)| {
-                let per_pixel = visible.as_ref()?.facet_from_pixel;
-                let covariance = per_pixel * blur * per_pixel.transpose();
-                let path = per_pixel * state.spread.path_px;
-                Some(BlurredFacet::new(facet, &covariance, &path, state.spread.parts))
-            })
-            .collect();
-        Self { print, visible, blurred, code_bend, response_share: 1.0 }
+        let pose = &state.patch_from_markers;
+        let seen = SeenFacets::new(print, pose, &state.spread, pinhole, extra_blur_px);
+        Self { print, halves: vec![seen], code_bend, response_share: 1.0 }
     }
 
-    /// The facet, if it faces the camera.
+    /// The facet in a half, if it faces the camera.
     #[inline]
-    pub(super) fn facet(&self, index: usize) -> Option<(&VisibleFacet, &BlurredFacet<'p>)> {
-        Some((self.visible[index].as_ref()?, self.blurred[index].as_ref()?))
+    pub(super) fn facet(
+        &self,
+        half: usize,
+        index: usize,
+    ) -> Option<(&VisibleFacet, &BlurredFacet<'p>)> {
+        self.halves[half].facet(index)
     }
 
-    /// Shares of white and black of the `facets` that face the camera, in the pixel at `direction`.
+    /// Shares of white and black of the `facets` that face the camera, in the pixel of a half at
+    /// `direction`.
     pub(super) fn shares(
         &self,
+        half: usize,
         facets: impl Iterator<Item = usize>,
         direction: &Vector3<f64>,
     ) -> FacetShares {
         let mut row = [(0, 0.0, 0.0); MAX_FACETS];
         let mut used = 0;
         for index in facets {
-            let Some((visible, blurred)) = self.facet(index) else { continue };
+            let Some((visible, blurred)) = self.facet(half, index) else { continue };
             let at = visible.point(direction);
             let black = f64::from(blurred.black(at).value);
             let white = f64::from(blurred.coverage(at).value) - black;
@@ -186,7 +233,7 @@ impl Modelled {
     }
 }
 
-/// Models one pixel that lies on the first of `facets` and also shows the others.
+/// Models one pixel of a half that lies on the first of `facets` and also shows the others.
 ///
 /// `seams` are (edge of the first facet, seam) within reach of the pixel, `background` is the
 /// radiance next to the body. The motion of a seam's line with the pose is left out, because the
@@ -195,6 +242,7 @@ impl Modelled {
 pub(super) fn model(
     scene: &Scene<'_>,
     state: &State,
+    half: usize,
     facets: impl Iterator<Item = usize>,
     seams: impl Iterator<Item = (usize, usize)>,
     background: f64,
@@ -216,7 +264,7 @@ pub(super) fn model(
         // The seams belong to the first facet, even if it does not face the camera any more.
         let seams = seams.take();
         let is_first = seams.is_some();
-        let Some((visible, blurred)) = scene.facet(index) else { continue };
+        let Some((visible, blurred)) = scene.facet(half, index) else { continue };
         let flow = visible.flow(direction);
         let coverage = blurred.coverage(flow.at);
         let black = blurred.black(flow.at);

@@ -4,13 +4,13 @@
 //! block of fixed size, which the compiler vectorizes, and the block is added to the full matrix
 //! once.
 
-use nalgebra::{DMatrix, DVector, Isometry3};
+use nalgebra::{DMatrix, DVector, Isometry3, Matrix6, SMatrix, Vector6};
 
 use super::model::{Modelled, Scene, model};
 use super::patch::Patch;
 use super::robust::cauchy_term;
 use super::samples::Sample;
-use super::state::{COMMON, Layout, State};
+use super::state::{COMMON, CONSTANTS, Layout, State};
 
 /// Row of a pixel of one facet: common unknowns, two gradients, two levels, the residual.
 const INSIDE: usize = LEVELS + 2 + 1;
@@ -90,6 +90,33 @@ impl<const ROW: usize> Block<ROW> {
     }
 }
 
+impl<const ROW: usize> Block<ROW> {
+    /// Adds the rows and columns of the constants of a stitched camera, which begin at the index `at`.
+    /// Their derivatives are `by_constants` times those of the pose.
+    fn add_constants(
+        &self,
+        at: usize,
+        by_constants: &SMatrix<f64, CONSTANTS, 6>,
+        sums: &mut PoseEquations,
+    ) {
+        let of_pose =
+            |column: usize| Vector6::from_fn(|row, _| f64::from(self.products[row][column]));
+        for (column, to) in self.indices.iter().enumerate() {
+            let Some(to) = *to else { continue };
+            let products = by_constants * of_pose(column);
+            for k in 0..CONSTANTS {
+                sums.normal[(at + k, to)] += products[k];
+                sums.normal[(to, at + k)] += products[k];
+            }
+        }
+        let among_pose = Matrix6::from_fn(|row, column| f64::from(self.products[row][column]));
+        let mut own = sums.normal.fixed_view_mut::<CONSTANTS, CONSTANTS>(at, at);
+        own += by_constants * among_pose * by_constants.transpose();
+        let mut right = sums.right.fixed_rows_mut::<CONSTANTS>(at);
+        right += by_constants * of_pose(ROW - 1);
+    }
+}
+
 impl SampleSet {
     /// Sums the normal equations at a state.
     pub(super) fn sum(&self, patch: &Patch, scene: &Scene<'_>, state: &State) -> PoseEquations {
@@ -141,7 +168,9 @@ impl SampleSet {
             let direction = sample.direction(patch);
             let background = f64::from(sample.background);
             let seams = sample.seams(scene.print);
-            let modelled = model(scene, state, sample.facets(), seams, background, &direction);
+            let half = usize::from(sample.half);
+            let modelled =
+                model(scene, state, half, sample.facets(), seams, background, &direction);
             let residual = sample.counted(f64::from(sample.radiance) - modelled.radiance);
             sums.residuals.push(residual.map(|residual| residual as f32));
             let Some(residual) = residual else { continue };
@@ -168,6 +197,10 @@ impl SampleSet {
         }
         if let Some(block) = block {
             block.add_to(sums);
+            if let Some(at) = self.layout.constants {
+                let by_constants = patch.halves.by_constants(usize::from(run[0].half));
+                block.add_constants(at, &by_constants, sums);
+            }
         }
     }
 }

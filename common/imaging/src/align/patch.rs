@@ -1,8 +1,10 @@
 //! The part of a view that shows a body, as radiance, no finer than the fit needs.
 
+use flockeye_geometry::camera::Stitch;
 use flockeye_geometry::view::View;
 use nalgebra::{Isometry3, UnitQuaternion, Vector2, Vector3};
 
+use super::halves::Halves;
 use super::pinhole::Pinhole;
 use crate::image::LumaImage;
 use crate::light::LinearLight;
@@ -29,6 +31,8 @@ pub struct Picture<'p> {
     /// (the module `solve`). 0 for a response that is known exactly; a linear camera that is taken for
     /// sRGB has a bend of about -1.
     pub response_sigma: f64,
+    /// The halves of a stitched picture; `None` where one lens has seen all of it.
+    pub stitch: Option<Stitch>,
 }
 
 impl<'p> Picture<'p> {
@@ -40,7 +44,8 @@ impl<'p> Picture<'p> {
         pixels_per_radian: f64,
     ) -> Self {
         let motion = Motion::default();
-        Self { image, view, light, pixels_per_radian, motion, response_sigma: 0.0 }
+        let (response_sigma, stitch) = (0.0, None);
+        Self { image, view, light, pixels_per_radian, motion, response_sigma, stitch }
     }
 }
 
@@ -63,6 +68,8 @@ pub(super) struct Patch {
     saturated: Vec<bool>,
     pub pinhole: Pinhole,
     pub view_from_camera: UnitQuaternion<f64>,
+    /// The halves of a stitched picture that show the body.
+    pub halves: Halves,
     /// Radiance at which the sensor saturates.
     pub saturation: f64,
     /// Curvature of the camera's curve; see [`LinearLight::bend`].
@@ -158,6 +165,7 @@ impl Patch {
             saturated,
             pinhole,
             view_from_camera,
+            halves: Halves::of(picture, &camera_from_markers.translation.vector, radius_m),
             saturation: f64::from(light.of(u8::MAX)),
             code_bend: light.bend(),
             smoothing_px2: (averaged_px2 + interpolated_px2) / fine.powi(2),
@@ -169,6 +177,14 @@ impl Patch {
     #[inline]
     pub(super) fn at(&self, x: usize, y: usize) -> f32 {
         self.radiance[y * self.width + x]
+    }
+
+    /// Whether a pixel shows this half of a stitched picture, and no other.
+    #[inline]
+    pub(super) fn shows_half(&self, half: u8, x: usize, y: usize) -> bool {
+        self.halves.is_beside_strip()
+            || self.halves.at(&self.pinhole.direction(Vector2::new(x as f64, y as f64)))
+                == Some(half)
     }
 
     /// Whether the radiance of a pixel may exceed the stated value.

@@ -48,6 +48,8 @@ pub(super) struct Sample {
     /// Radiance of the background next to the body, outside the nearest silhouette edge. The
     /// pixel's own radiance where no silhouette is within reach.
     pub background: f32,
+    /// The half of a stitched picture that shows it; 0 where there is one picture.
+    pub half: u8,
     /// The facet that the pixel lies on.
     pub facet: u8,
     /// Edges of that facet within reach; [`NONE`] for none.
@@ -87,10 +89,10 @@ impl Sample {
         edges.filter_map(|edge| Some((edge, neighbours[edge]?.1)))
     }
 
-    /// A key that is equal for samples of the same facets.
+    /// A key that is equal for samples of the same half and facets.
     #[inline]
-    pub(super) fn shows(&self) -> [u8; 3] {
-        [self.facet, self.edges[0], self.edges[1]]
+    pub(super) fn shows(&self) -> [u8; 4] {
+        [self.half, self.facet, self.edges[0], self.edges[1]]
     }
 
     /// The facets that show in it.
@@ -104,15 +106,19 @@ impl Sample {
 /// The pixels inside facets that face the camera, away from the silhouette, without those that the
 /// background outshines. Pixels that show the same facets are neighbours in the list.
 pub(super) fn choose(patch: &Patch, scene: &Scene<'_>) -> Vec<Sample> {
-    let mut found: Vec<(u16, u16, u8, Reach)> = Vec::new();
-    for (index, facet) in scene.print.facets.iter().enumerate() {
+    let mut found: Vec<(u16, u16, u8, u8, Reach)> = Vec::new();
+    let halves = (0..).zip(&scene.halves);
+    let in_halves = halves.flat_map(|(half, seen)| {
+        scene.print.facets.iter().enumerate().map(move |(index, facet)| (half, seen, index, facet))
+    });
+    for (half, seen, index, facet) in in_halves {
         // Facets beyond number 254 are left out: no body has that many.
         let (Some((visible_facet, blurred_facet)), Ok(number)) =
-            (scene.facet(index), u8::try_from(index))
+            (seen.facet(index), u8::try_from(index))
         else {
             continue;
         };
-        let edges = edges(facet, blurred_facet, &scene.visible);
+        let edges = edges(facet, blurred_facet, &seen.visible);
         let plane_from_pixel = visible_facet.plane_from_pixel(&patch.pinhole);
         let sides = sides(blurred_facet, &edges, &plane_from_pixel);
         let bounds = |axis: usize, size: usize| {
@@ -123,18 +129,19 @@ pub(super) fn choose(patch: &Patch, scene: &Scene<'_>) -> Vec<Sample> {
         for y in bounds(1, patch.height) {
             for x in columns_within(&sides, y, &columns) {
                 let at = on_plane(&plane_from_pixel, x, y);
-                if let Some(reach) = reach(blurred_facet, &edges, at) {
-                    found.push((x as u16, y as u16, number, reach));
+                let Some(reach) = reach(blurred_facet, &edges, at) else { continue };
+                if patch.shows_half(half, x, y) {
+                    found.push((x as u16, y as u16, half, number, reach));
                 }
             }
         }
     }
     // A body nearby has more pixels than its pose needs.
     let step = found.len().div_ceil(MAX_SAMPLES).max(1);
-    let sample = |(x, y, number, reach): (u16, u16, u8, Reach)| {
+    let sample = |(x, y, half, number, reach): (u16, u16, u8, u8, Reach)| {
         let radiance = patch.at(x.into(), y.into());
         let facet = usize::from(number);
-        let background = match (reach.silhouette, scene.facet(facet)) {
+        let background = match (reach.silhouette, scene.facet(half.into(), facet)) {
             (Some(edge), Some((visible, blurred))) => {
                 background(patch, visible, blurred, edge, (x.into(), y.into()))
             }
@@ -142,7 +149,7 @@ pub(super) fn choose(patch: &Patch, scene: &Scene<'_>) -> Vec<Sample> {
         };
         let Reach { edges, neighbours, .. } = reach;
         let is_saturated = patch.is_saturated(x.into(), y.into());
-        Sample { x, y, radiance, is_saturated, background, facet: number, edges, neighbours }
+        Sample { x, y, radiance, is_saturated, background, half, facet: number, edges, neighbours }
     };
     let mut samples: Vec<Sample> = found.into_iter().step_by(step).map(sample).collect();
     // Sum of the radiance and number of the samples of each facet.
@@ -165,12 +172,13 @@ pub(super) fn choose(patch: &Patch, scene: &Scene<'_>) -> Vec<Sample> {
 fn spilled(patch: &Patch, scene: &Scene<'_>, sample: &Sample) -> f32 {
     let direction = sample.direction(patch);
     let (mut covered, mut brightest, mut is_beside) = (0.0, sample.radiance, !sample.is_inside());
+    let seen = &scene.halves[usize::from(sample.half)];
     for facet in sample.facets() {
-        let Some((visible, blurred)) = scene.facet(facet) else { continue };
+        let Some((visible, blurred)) = seen.facet(facet) else { continue };
         let at = visible.point(&direction);
         covered += blurred.coverage(at).value;
         for (edge, neighbour) in scene.print.facets[facet].neighbours.iter().enumerate() {
-            let is_seen = neighbour.is_some_and(|(facet, _)| scene.visible[facet].is_some());
+            let is_seen = neighbour.is_some_and(|(facet, _)| seen.visible[facet].is_some());
             if !is_seen && blurred.depth(edge, at) < SPILL_REACH {
                 is_beside = true;
                 let place = (sample.x.into(), sample.y.into());

@@ -10,9 +10,9 @@
 
 use std::cell::LazyCell;
 
-use nalgebra::{Cholesky, DMatrix, DVector, Dyn, Isometry3, Matrix6};
+use nalgebra::{Cholesky, DMatrix, DVector, Dyn, Isometry3, Matrix5, Matrix6};
 
-use super::alignment::SeenResponse;
+use super::alignment::{SeenResponse, SeenStitch};
 use super::covariance::Dependence;
 use super::levels::fit_levels;
 use super::model::{Scene, rim_shift_px};
@@ -22,7 +22,7 @@ use super::patch::Patch;
 use super::print::BodyPrint;
 use super::robust::facet_sigmas;
 use super::samples::{self, Sample};
-use super::state::{Layout, Prior, RESPONSE, State, add_priors, apply_step};
+use super::state::{CONSTANTS, Layout, Prior, RESPONSE, State, add_priors, apply_step};
 use crate::light::LinearLight;
 
 /// Motion of the body's rim below which a step is the last, pixels: the next step would be a
@@ -62,6 +62,8 @@ pub(super) struct BodyFit {
     pub visible_share: f64,
     /// The camera's response as the print shows it. `None` where it shows nothing of it.
     pub bend: Option<SeenBend>,
+    /// What the picture shows of a stitched camera, where both halves show the body.
+    pub stitch: Option<SeenStitch>,
 }
 
 /// How much the camera's response differs from the assumed one, from the samples alone.
@@ -145,9 +147,10 @@ pub(super) fn fit(
                 let (factor, covariance) =
                     dependence.pose_covariance(&normal, &from_samples, explained, wandered)?;
                 let bend = seen_bend(&state, samples, prior, &normal, factor);
-                Some((state.patch_from_markers, covariance, bend))
+                let stitch = seen_stitch(&state, patch, layout, prior, &normal, factor);
+                Some((state.patch_from_markers, covariance, bend, stitch))
             };
-            let (patch_from_markers, covariance, bend) =
+            let (patch_from_markers, covariance, bend, stitch) =
                 measured(layout.count).or_else(|| measured(layout.uniform_count))?;
             return Some(BodyFit {
                 state,
@@ -157,6 +160,7 @@ pub(super) fn fit(
                 is_whole: occlusion.is_empty(),
                 visible_share: occlusion.visible_share,
                 bend,
+                stitch,
             });
         }
         let sigmas = facet_sigmas(samples, &sums.residuals, sigmas.len());
@@ -206,6 +210,24 @@ fn seen_bend(
         levels: [black, white],
     };
     (of_samples > 0.0 && seen.bend.is_finite() && white > black).then_some(seen)
+}
+
+/// The constants of a stitched camera as the samples show them, without their prior. `None` where one
+/// half shows all of the body.
+fn seen_stitch(
+    state: &State,
+    patch: &Patch,
+    layout: &Layout,
+    prior: &Prior,
+    normal: &Cholesky<f64, Dyn>,
+    factor: f64,
+) -> Option<SeenStitch> {
+    let at = layout.constants?;
+    let mut columns = DMatrix::zeros(normal.l_dirty().nrows(), CONSTANTS);
+    columns.fixed_view_mut::<CONSTANTS, CONSTANTS>(at, 0).fill_with_identity();
+    let of_both = normal.solve(&columns);
+    let covariance: Matrix5<f64> = of_both.fixed_view::<CONSTANTS, CONSTANTS>(at, 0).into();
+    patch.halves.seen(&state.constants, &covariance, prior.samples_per_pixel(), factor)
 }
 
 /// Length of a step of the pose, the first six unknowns, in standard deviations by the normal
@@ -261,9 +283,9 @@ fn choose(
 
 /// Index of each unknown of the facets that face the camera and of the seams that `samples` show.
 pub(super) fn layout(scene: &Scene<'_>, samples: &[Sample]) -> Layout {
-    let is_visible = scene.visible.iter().map(Option::is_some);
+    let is_visible = scene.halves[0].visible.iter().map(Option::is_some);
     let seams = samples.iter().flat_map(|sample| sample.seams(scene.print).map(|(_, seam)| seam));
-    Layout::new(is_visible, scene.print.seams, seams)
+    Layout::new(is_visible, scene.print.seams, seams, scene.halves.len() > 1)
 }
 
 #[cfg(test)]

@@ -2,7 +2,8 @@
 
 use flockeye_geometry::pose::{PoseEstimate, pose_difference, turned_covariance};
 use nalgebra::{
-    DMatrix, DVector, Isometry3, Matrix6, Translation3, Unit, UnitQuaternion, Vector2, Vector3,
+    DMatrix, DVector, Isometry3, Matrix5, Matrix6, Translation3, Unit, UnitQuaternion, Vector2,
+    Vector3, Vector5,
 };
 
 use super::print::BodyPrint;
@@ -17,6 +18,8 @@ pub(super) const SPREAD: usize = 6;
 pub(super) const CODE_BLUR: usize = 9;
 /// Index of the response.
 pub(super) const RESPONSE: usize = 10;
+/// Number of the constants of a stitched camera.
+pub(super) const CONSTANTS: usize = 5;
 /// Code blur, expected value and standard deviation, pixels of the sphere image squared. Measured:
 /// 0.1 in views cut from plain frames, 0.25 after H.264.
 const CODE_BLUR_PRIOR_PX2: (f64, f64) = (0.1, 0.15);
@@ -44,6 +47,9 @@ pub(super) struct State {
     /// How much the camera's response differs from the assumed one; see
     /// [`SeenBend`](super::solve::SeenBend).
     pub response: f64,
+    /// How much the constants of a stitched camera differ from the assumed ones. Zero where one half
+    /// shows all of the body.
+    pub constants: Vector5<f64>,
     /// White and black level of each facet.
     pub levels: Vec<[f64; 2]>,
     /// Additional radiance of each seam between two facets, as a line without width: radiance times
@@ -66,6 +72,7 @@ impl State {
             spread,
             code_blur: 0.0,
             response: 0.0,
+            constants: Vector5::zeros(),
             levels: vec![[0.0; 2]; print.facets.len()],
             seams: vec![0.0; print.seams],
         }
@@ -86,6 +93,9 @@ pub(super) struct Prior {
     pub magnification: f64,
     /// Standard deviation of the response's difference from the assumed one.
     pub response_sigma: f64,
+    /// Inverse covariance of the constants of a stitched camera; `None` where one half shows all of
+    /// the body.
+    pub constants: Option<Matrix5<f64>>,
     /// Prediction of the pose; `None` where it is not known.
     pub pose: Option<PosePrior>,
 }
@@ -142,7 +152,8 @@ impl Prior {
     ) -> Self {
         let (spread, spread_sigmas) = Spread::expected(lens_px, path_px);
         let response_sigma = MIN_RESPONSE_SIGMA;
-        Self { spread, spread_sigmas, motion, magnification, response_sigma, pose: None }
+        let (constants, pose) = (None, None);
+        Self { spread, spread_sigmas, motion, magnification, response_sigma, constants, pose }
     }
 
     /// Variance of a point spread along the motion, less that across it, pixels of the sphere image
@@ -177,6 +188,8 @@ pub(super) struct Layout {
     pub levels: Vec<Option<usize>>,
     /// Index of each seam's radiance.
     pub seams: Vec<Option<usize>>,
+    /// Index of the first constant of a stitched camera.
+    pub constants: Option<usize>,
     /// Number of unknowns without the radiance gradients.
     pub uniform_count: usize,
     /// Number of all unknowns.
@@ -185,11 +198,13 @@ pub(super) struct Layout {
 
 impl Layout {
     /// Creates the layout. `is_visible` states for each facet whether it faces the camera;
-    /// `seams_shown` are the seams in the samples, in their order.
+    /// `seams_shown` are the seams in the samples, in their order. `has_constants`: two halves of a
+    /// stitched picture show the body.
     pub(super) fn new(
         is_visible: impl Iterator<Item = bool>,
         seam_count: usize,
         seams_shown: impl Iterator<Item = usize>,
+        has_constants: bool,
     ) -> Self {
         let mut count = COMMON;
         let levels: Vec<_> = is_visible
@@ -207,8 +222,10 @@ impl Layout {
                 count - 1
             });
         }
+        let constants = has_constants.then_some(count);
+        let uniform_count = if has_constants { count + CONSTANTS } else { count };
         let facets = levels.iter().flatten().count();
-        Self { levels, seams, uniform_count: count, count: count + 2 * facets }
+        Self { levels, seams, constants, uniform_count, count: uniform_count + 2 * facets }
     }
 
     /// Index of a facet's radiance gradient along its x axis; that along y is the next.
@@ -255,6 +272,13 @@ pub(super) fn add_priors(
     let precision = prior.response_precision();
     normal[(RESPONSE, RESPONSE)] += precision;
     right[RESPONSE] -= precision * state.response;
+    if let Some((at, information)) = layout.constants.zip(prior.constants) {
+        let information = information * share;
+        let mut of_constants = normal.fixed_view_mut::<CONSTANTS, CONSTANTS>(at, at);
+        of_constants += information;
+        let mut of_constants = right.fixed_rows_mut::<CONSTANTS>(at);
+        of_constants -= information * state.constants;
+    }
     let (black, sigma) = BLACK_SHARE_PRIOR;
     let mut brightest: f64 = 0.01;
     for (facet, at) in layout.facets() {
@@ -310,6 +334,9 @@ pub(super) fn apply_step(
     state.spread.add(std::array::from_fn(|k| step[SPREAD + k] * share));
     state.code_blur += step[CODE_BLUR] * share;
     state.response += step[RESPONSE] * share;
+    if let Some(at) = layout.constants {
+        state.constants += step.fixed_rows::<CONSTANTS>(at) * share;
+    }
     for (facet, at) in layout.facets() {
         state.levels[facet][0] += step[at];
         state.levels[facet][1] += step[at + 1];

@@ -5,6 +5,7 @@
 mod derivatives;
 #[path = "../../tests/drawn_body/mod.rs"]
 pub(super) mod drawn_body;
+mod halves;
 mod hidden;
 
 use flockeye_geometry::body::{Body, squares};
@@ -374,7 +375,7 @@ fn radiance_gradients_are_the_last_unknowns() {
     let indices: Vec<usize> = gradients.flat_map(|at| [at, at + 1]).collect();
     assert!(indices.len() > 10);
     assert_eq!(indices, (layout.uniform_count..layout.count).collect::<Vec<_>>());
-    let away = scene.visible.iter().position(Option::is_none).expect("one faces away");
+    let away = scene.halves[0].visible.iter().position(Option::is_none).expect("one faces away");
     assert_eq!(layout.gradient(away), None);
 }
 

@@ -130,8 +130,20 @@ pub(crate) fn draw(
     blur_px: f64,
     noise: f64,
 ) -> Drawing {
+    draw_mixed(body, pose, focal_px, blur_px, noise, |_| [(1.0, *pose), (0.0, *pose)])
+}
+
+/// As [`draw`], with two poses of the body in each ray and the share of each: two lenses whose
+/// pictures have been blended. The view looks at `pose`.
+pub(crate) fn draw_mixed(
+    body: &Body,
+    pose: &Isometry3<f64>,
+    focal_px: f64,
+    blur_px: f64,
+    noise: f64,
+    shown: impl Fn(&Ray) -> [(f64, Isometry3<f64>); 2],
+) -> Drawing {
     let prints = prints();
-    let markers_from_camera = pose.inverse();
     let direction = Unit::new_normalize(pose.translation.vector);
     let size = (2.0 * focal_px * 0.13 / pose.translation.vector.norm()).ceil() as u32 + 12;
     let field = 2.0 * (f64::from(size) / (2.0 * focal_px)).atan();
@@ -143,7 +155,12 @@ pub(crate) fn draw(
         let (x, y) = (place(k % (side * FINE)), place(k / (side * FINE)));
         let background = 0.2 + 0.1 * (x / 3.0).sin();
         let ray = view.ray(ViewPixel::new(x, y));
-        *radiance = radiance_of(body, &prints, &markers_from_camera, &ray, background);
+        let shown = shown(&ray).into_iter().filter(|(share, _)| *share > 0.0);
+        *radiance = shown
+            .map(|(share, pose)| {
+                share * radiance_of(body, &prints, &pose.inverse(), &ray, background)
+            })
+            .sum();
     }
     let kernel = kernel(blur_px);
     let across = blurred(&radiances, side, side * FINE, &kernel);

@@ -23,7 +23,7 @@ impl<P: AsRef<[u8]>> Core<P> {
         let (reader, tracker) = (&mut self.reader, &mut self.tracker);
         let found = frame.with_parts(|frame, parts| {
             let regions: Vec<(usize, BestView<'_>)> =
-                reader.regions(&frame.held, &taken, tracker.response());
+                reader.regions(&frame.held, &taken, tracker.camera());
             let updates = tracker.direct_pass(time, parts, &regions).into_iter();
             let caused = updates.filter_map(|update| {
                 let (_, last) = regions.iter().rfind(|(target, _)| *target == update.0)?;
@@ -59,7 +59,7 @@ impl<P: AsRef<[u8]>> Core<P> {
         let (reader, tracker) = (&mut self.reader, &mut self.tracker);
         let notices = &mut outputs.notices;
         let updates = frame.with_parts(|frame, parts| {
-            let mut best_views = reader.best_views(&frame.held, tracker.response());
+            let mut best_views = reader.best_views(&frame.held, tracker.camera());
             let views = searched.clone().unwrap_or_else(|| {
                 let counted: Vec<u32> = frame.counted_views().collect();
                 best_views.retain(|_, best| counted.contains(&best.view_index));
@@ -96,7 +96,7 @@ impl<P: AsRef<[u8]>> Core<P> {
         let time = time_of(&frame.stamp);
         let (reader, tracker) = (&mut self.reader, &mut self.tracker);
         let update = frame.with_parts(|frame, parts| {
-            let views = reader.places(frame.places.next(), tracker.response());
+            let views = reader.places(frame.places.next(), tracker.camera());
             tracker.place_pass(time, parts, target, &views)
         });
         self.publish_updates(order, update.into_iter().collect(), None, outputs);

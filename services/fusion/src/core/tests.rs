@@ -198,7 +198,7 @@ fn a_snapshot_of_another_fusion_is_refused_or_counts_as_far_as_it_fits() {
     let bytes = snapshot.to_bytes().unwrap();
     let other_version = [&[9], &bytes[1..]].concat();
     let refused = Snapshot::from_bytes(&other_version).unwrap_err().to_string();
-    assert_eq!(refused, "it has version 9; this program reads version 4");
+    assert_eq!(refused, "it has version 9; this program reads version 5");
     for cut in [0, 1, bytes.len() / 2, bytes.len() - 1] {
         assert!(Snapshot::from_bytes(&bytes[..cut]).is_err(), "{cut} bytes");
     }

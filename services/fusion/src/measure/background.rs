@@ -8,6 +8,7 @@ use flockeye_contract::FrameOrder;
 use std::collections::BTreeSet;
 
 use flockeye_geometry::body::Body;
+use flockeye_geometry::camera::Stitch;
 use flockeye_geometry::pose::{CornerRay, PoseEstimate};
 use flockeye_geometry::view::View;
 use flockeye_imaging::align::{Motion, Picture};
@@ -128,18 +129,29 @@ struct CopiedView {
     pixels_per_radian: f64,
     motion: Motion,
     response_sigma: f64,
+    stitch: Option<Stitch>,
     rays_m: f64,
 }
 
 impl CopiedView {
     fn of(best: &BestView<'_>) -> Self {
-        let Picture { image, view, light, pixels_per_radian, motion, response_sigma } =
+        let Picture { image, view, light, pixels_per_radian, motion, response_sigma, stitch } =
             best.picture;
         let mut pixels = Vec::with_capacity(image.width() * image.height());
         (0..image.height()).for_each(|y| pixels.extend_from_slice(image.row(y)));
         let (size, light) = ((image.width(), image.height()), light.clone());
         let rays_m = best.rays_m;
-        Self { pixels, size, view, light, pixels_per_radian, motion, response_sigma, rays_m }
+        Self {
+            pixels,
+            size,
+            view,
+            light,
+            pixels_per_radian,
+            motion,
+            response_sigma,
+            stitch,
+            rays_m,
+        }
     }
 
     fn picture(&self) -> Option<Picture<'_>> {
@@ -151,6 +163,7 @@ impl CopiedView {
             pixels_per_radian: self.pixels_per_radian,
             motion: self.motion,
             response_sigma: self.response_sigma,
+            stitch: self.stitch,
         })
     }
 }

@@ -1,6 +1,9 @@
 //! The corner pass: measures targets by their markers, and by the picture from there.
 
 use flockeye_contract::MeasuredBy;
+use flockeye_geometry::body::Body;
+use flockeye_geometry::camera::Stitch;
+use flockeye_geometry::pose::{CornerRay, solve};
 
 use super::{Tracker, Update};
 use crate::account::{AccountEntry, NotRun, Pass, Trial};
@@ -11,6 +14,8 @@ use crate::measure::{AnsweredView, BestViews, FrameTime};
 use crate::measurement::{PoseMeasurement, decoded_rays, marker_ids};
 use crate::parallel;
 use crate::policy::TimeBudget;
+use crate::stitching::{StitchEstimate, correct_rays};
+use crate::track_prior::TrackPrior;
 
 impl Tracker {
     /// Measures targets, each from some of a frame's records and its best view, and updates their
@@ -120,13 +125,16 @@ impl Tracker {
         let body = &self.targets.get(target).ok_or(NotRun::NothingKnown)?.body;
         let prior = self.prior(target, time.at_s);
         // All rays are corrected to the best known distance before the pose is solved.
-        let rays_m = self.camera.parallax.as_ref().map_or(f64::INFINITY, |parallax| {
+        let of_parallax = self.camera.parallax.as_ref().map(|it| it.assumed_m);
+        let stitching = self.camera.stitching.as_ref();
+        let assumed_m = of_parallax.or(stitching.map(StitchEstimate::assumed_m));
+        let rays_m = assumed_m.map_or(f64::INFINITY, |assumed_m| {
             let predicted = prior.confirmed().map(|prior| prior.camera_from_markers.translation);
-            predicted.map_or(parallax.assumed_m, |position| position.vector.norm())
+            predicted.map_or(assumed_m, |position| position.vector.norm())
         });
         let motion = self.motion(target, time.at_s, &prior);
         let best_view = best_views.get(&target).map(|view| view.moving(motion));
-        let mut decoded = Vec::new();
+        let (mut decoded, mut cameras) = (Vec::new(), Vec::new());
         for AnsweredView { record, view, .. } in answered {
             let mut of_view = decoded_rays(body, &record.markers);
             // A foreign detector may not know of the lens's error.
@@ -139,8 +147,11 @@ impl Tracker {
                     ray.ray_in_camera = parallax.brought(&ray.ray_in_camera, from_m, rays_m);
                 }
             }
+            let camera = stitching.map(|stitching| stitching.of_view(*view));
+            cameras.extend(camera.iter().flat_map(|camera| of_view.iter().map(|_| *camera)));
             decoded.extend(of_view);
         }
+        let rays_m = self.correct_to_body(body, &mut decoded, &cameras, rays_m, &prior);
         let is_tracked = prior.predicted().is_some();
         if decoded.is_empty() && !(is_tracked && best_view.is_some()) {
             return Err(if is_tracked { NotRun::NoView } else { NotRun::NothingKnown });
@@ -151,6 +162,27 @@ impl Tracker {
             ..begun
         };
         Ok(PassInputs { target, body, decoded, rays_m, prior, best_view, trial, part: Some(part) })
+    }
+
+    /// Corrects the corner rays of a body in a stitched picture to `rays_m`, or to the distance that the
+    /// corners show if no track knows it. Returns the distance.
+    fn correct_to_body(
+        &self,
+        body: &Body,
+        rays: &mut [CornerRay],
+        cameras: &[Stitch],
+        rays_m: f64,
+        prior: &TrackPrior,
+    ) -> f64 {
+        let mut corrected = rays.to_vec();
+        correct_rays(&mut corrected, cameras, rays_m);
+        let is_known = cameras.is_empty() || prior.confirmed().is_some();
+        let solved = if is_known { None } else { solve(body, &corrected).ok() };
+        let nearest = solved.as_ref().and_then(|solutions| solutions.first());
+        let seen_m =
+            nearest.map_or(rays_m, |pose| pose.camera_from_markers.translation.vector.norm());
+        correct_rays(rays, cameras, seen_m);
+        seen_m
     }
 
     /// Whether any other target is tracked.

@@ -75,7 +75,7 @@ impl Tracker {
             Some((measurement, pose)) => {
                 let (update, outcome) = self.take_in(time, target, Some(&mut *part), measurement);
                 if update.is_some() {
-                    self.note_response(target, &trial);
+                    self.note_camera(target, &trial);
                     part.status = Status::Published { direct_pose: Some(pose) };
                 }
                 (update, outcome)

@@ -1,6 +1,8 @@
 //! Predictions of tracks for a time: places and apparent motion of targets, and corrections of
 //! measurements.
 
+use flockeye_contract::MeasuredBy;
+use flockeye_geometry::camera::ShownBy;
 use flockeye_geometry::ego_rotation::CameraTurn;
 use flockeye_geometry::filter::{MotionEstimate, MotionModel, RivalPose};
 use flockeye_geometry::pose::PoseEstimate;
@@ -8,7 +10,7 @@ use flockeye_imaging::align::Motion;
 use nalgebra::{Matrix6, Vector6};
 
 use super::Tracker;
-use crate::measurement::PoseMeasurement;
+use crate::measurement::{PoseMeasurement, Shown};
 use crate::readout::{after_s, carried};
 use crate::track_prior::TrackPrior;
 
@@ -108,6 +110,10 @@ impl Tracker {
         let corrected = |pose: PoseEstimate| {
             let parallax = self.camera.parallax.as_ref();
             let pose = parallax.map_or(pose, |parallax| parallax.corrected(&pose, rays_m));
+            // An alignment has its camera's lenses in its model.
+            let is_aligned = measurement.measured_by == MeasuredBy::Aligned;
+            let stitching = self.camera.stitching.as_ref().filter(|_| !is_aligned);
+            let pose = stitching.map_or(pose, |it| it.current().corrected(&pose, rays_m));
             let Some((camera, readout_s)) = &self.camera.readout else { return pose };
             let after_s = after_s(camera, *readout_s, &pose.camera_from_markers);
             self.carried(target, at_s, &pose, -after_s)
@@ -117,6 +123,11 @@ impl Tracker {
             let pose = corrected(pose);
             RivalPose { pose, lead }
         });
-        PoseMeasurement { pose, rival, ..measurement }
+        let shown = self.camera.stitching.as_ref().map(|stitching| {
+            let place = pose.camera_from_markers.translation.vector;
+            let by = ShownBy::of(&place, self.targets[target].body.radius());
+            Shown { by, covariance: stitching.current().pose_covariance(&place) }
+        });
+        PoseMeasurement { pose, rival, shown, ..measurement }
     }
 }

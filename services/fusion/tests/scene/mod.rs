@@ -148,6 +148,7 @@ pub(crate) fn alignment(
         evidence: Evidence { log_odds, ..Evidence::default() },
         visible_share: 1.0,
         response: None,
+        stitch: None,
     }
 }
 
@@ -162,6 +163,7 @@ pub(crate) fn measurement(camera_from_markers: &Isometry3<f64>) -> PoseMeasureme
         markers: 2,
         is_precise: true,
         is_proven: false,
+        shown: None,
     }
 }
 

@@ -82,7 +82,7 @@ fn text(found: &LensCalibration, camera: &CameraSettings) -> anyhow::Result<Stri
             let (found_mm, deviation_mm) = (lens_distance_m * 1e3, deviation_m * 1e3);
             text += &format!(
                 "distance     {found_mm:.2} mm between the lenses, +- {deviation_mm:.2}; configured are {:.2}\n",
-                camera.lens_distance_m * 1e3
+                camera.lens_distance_m.unwrap_or(0.0) * 1e3
             );
             if *lens_distance_m < -3.0 * deviation_m {
                 text += "# A distance below 0 is none. Cure: the seam must be where x is 0 in the camera frame, \
@@ -180,6 +180,9 @@ mod tests {
         assert_eq!(read.lenses[1].double_sphere, Some([0.0024, 0.6605]));
         let distance = FoundLenses::Distance { lens_distance_m: 0.01618, deviation_m: 1e-4 };
         let printed = yaml(&distance, &configured).unwrap();
-        assert_eq!(Pipeline::parse(&printed, &[], "x").unwrap().camera.lens_distance_m, 0.01618);
+        assert_eq!(
+            Pipeline::parse(&printed, &[], "x").unwrap().camera.lens_distance_m,
+            Some(0.01618)
+        );
     }
 }

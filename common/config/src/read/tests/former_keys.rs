@@ -120,6 +120,7 @@ fn contradictions_until_restart() -> f64 {
         },
         rival: None,
         is_proven: false,
+        jump: None,
     };
     let ego = EgoRotation::new(2.0);
     let mut life = filter::LifeCycle::new(filter::TrackPolicy::default());

@@ -17,7 +17,7 @@ fn two_poses(k: i32) -> [Isometry3<f64>; 2] {
 
 /// One pose alone, which the picture does not prove.
 fn one(pose: Isometry3<f64>) -> FrameMeasurement {
-    FrameMeasurement { pose: found(pose), rival: None, is_proven: false }
+    FrameMeasurement { pose: found(pose), rival: None, is_proven: false, jump: None }
 }
 
 /// Two poses, the first one likelier by `lead`.

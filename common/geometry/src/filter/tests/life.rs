@@ -4,7 +4,7 @@ use super::*;
 
 /// A pose that the picture alone does not prove.
 fn found(pose: Isometry3<f64>) -> FrameMeasurement {
-    FrameMeasurement { pose: super::found(pose), rival: None, is_proven: false }
+    FrameMeasurement { pose: super::found(pose), rival: None, is_proven: false, jump: None }
 }
 
 fn frame(k: i32) -> f64 {
@@ -230,4 +230,38 @@ fn a_late_measurement_takes_its_place() {
     let then = late.predict(frame(5), &still()).unwrap();
     assert_eq!(then.stamp_s, frame(5));
     assert!(late.predict(frame(0), &still()).is_none());
+}
+
+/// A body that comes before another lens of the camera jumps in all pictures from there on.
+#[test]
+fn a_track_follows_a_jump_that_is_announced() {
+    let [before, after] = [1.0, 1.15].map(|x| Isometry3::translation(x, 0.0, 0.0));
+    let mut life = life();
+    for k in 0..20 {
+        life.measured(frame(k), &found(before), &still()).unwrap();
+    }
+    assert!(!life.accepts(frame(20), &found(after), &still()), "it is beyond the gate");
+    let jump = Some(Matrix6::identity() * 0.1f64.powi(2));
+    let announced = FrameMeasurement { jump, ..found(after) };
+    assert_eq!(life.measured(frame(20), &announced, &still()).unwrap(), Happened::Updated);
+    life.refilter(0.0, &still());
+    let there = life.predict(frame(20), &still()).unwrap().camera_from_markers;
+    assert!((there.translation.vector - after.translation.vector).norm() < 2e-2, "{there}");
+}
+
+#[test]
+fn a_corrected_track_is_where_its_measurements_are_now() {
+    let mut life = life();
+    for k in 0..20 {
+        life.measured(frame(k), &found(Isometry3::translation(1.0, 0.0, 0.0)), &still()).unwrap();
+    }
+    let moved = |pose: &PoseEstimate| PoseEstimate {
+        camera_from_markers: Isometry3::translation(0.0, 0.5, 0.0) * pose.camera_from_markers,
+        ..*pose
+    };
+    life.correct(moved, &still());
+    let track = life.track().unwrap();
+    let off = track.camera_from_markers.translation.vector - Vector3::new(1.0, 0.5, 0.0);
+    assert!(off.norm() < 1e-9 && track.velocity.norm() < 1e-9, "{off} {}", track.velocity);
+    assert_eq!(life.state(), Some(TrackState::Confirmed));
 }

@@ -134,7 +134,7 @@ fn pixels(
         let direction = pinhole.direction(Vector2::new(x as f64, y as f64));
         let (mut covered, mut black, mut most) = (0.0, 0.0, (0.0, 0));
         for facet in 0..print.facets.len() {
-            let Some((visible, blurred)) = scene.facet(facet) else { continue };
+            let Some((visible, blurred)) = scene.facet(0, facet) else { continue };
             let at = visible.point(&direction);
             let coverage = blurred.coverage(at).value;
             if coverage > 0.0 {

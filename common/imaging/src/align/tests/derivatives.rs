@@ -12,14 +12,19 @@ fn modelled(
     fixed_blur: Option<&Scene<'_>>,
 ) -> Option<Modelled> {
     let fresh = Scene::of(print, state, pinhole, 0.0, 0.5);
-    fresh.facet(facet)?;
+    fresh.facet(0, facet)?;
     let scene = match fixed_blur {
         None => fresh,
-        Some(fixed) => Scene { blurred: fixed.blurred.clone(), ..fresh },
+        Some(fixed) => {
+            let [mut seen, blurred] = [fresh.halves, fixed.halves.clone()];
+            seen[0].blurred.clone_from(&blurred[0].blurred);
+            Scene { halves: seen, ..fresh }
+        }
     };
     Some(model(
         &scene,
         state,
+        0,
         std::iter::once(facet),
         std::iter::empty(),
         0.3,

@@ -82,7 +82,7 @@ fn pixels_that_a_bright_background_outshines_are_left_out() {
         for place in 0..patch.radiance.len() {
             let at = Vector2::new((place % patch.width) as f64, (place / patch.width) as f64);
             let direction = patch.pinhole.direction(at);
-            let facets = (0..print.facets.len()).filter_map(|facet| scene.facet(facet));
+            let facets = (0..print.facets.len()).filter_map(|facet| scene.facet(0, facet));
             let covered =
                 facets.map(|(seen, blurred)| blurred.coverage(seen.point(&direction)).value);
             let covered = covered.sum::<f32>().min(1.0);
