@@ -92,8 +92,8 @@ const ONE_CENTRE_RAD: f64 = 1e-3;
 /// Deviation of the disparity between the halves of a stitched picture, in cells, from which on a fit
 /// is tried from several: half a cell is what a fit finds back from.
 const MISLEADING_CELLS: f64 = 0.4;
-/// Side of a cell from which on a part of a body shows its print, pixels.
-const LEAST_CELL_PX: f64 = 2.5;
+/// Side of a cell from which on a part of a body shows its print, pixels of the sphere image.
+const LEAST_CELL_PX: f64 = 3.5;
 /// Most fits without the parts that prove to be occluded.
 const MAX_REFITS: usize = 2;
 /// Standard deviation of the error that all edges share, pixels of the sphere image.
@@ -121,7 +121,10 @@ pub fn align(
     let view = PreparedView::new(print, picture, start, options, 0.0)?;
     let state = view.state(print, start);
     if view.knows_halves(print, &state) {
-        return view.align(print, state, &[], options);
+        let found = view.align(print, state, &[], options)?;
+        // A fit from one start may be wrong by a cell: it must not teach the camera's constants.
+        let stitch = found.stitch.filter(|_| !view.may_mislead(print, &found));
+        return Ok(Alignment { stitch, ..found });
     }
     let mut others = view.other_constants(&state);
     // The camera may also have one centre. Then no pixel is mixed, and both halves are one picture.
@@ -313,13 +316,21 @@ impl<'p> PreparedView<'p> {
     /// Whether a fit needs no other starts: the disparity between the halves is known so well that the
     /// print cannot mislead it, or one half shows so little that nothing could be learned.
     fn knows_halves(&self, print: &BodyPrint, start: &State) -> bool {
-        let halves = &self.patch.halves;
-        let (_, deviation_rad) = halves.most_uncertain();
-        let deviation_px = deviation_rad * self.patch.pinhole.focal_px;
         let cell_px = self.cell_px(print, &start.patch_from_markers);
-        !halves.show_both_sides(print.radius_m())
-            || cell_px < LEAST_CELL_PX
-            || deviation_px < MISLEADING_CELLS * cell_px
+        !self.patch.halves.show_both_sides(print.radius_m())
+            || cell_px < LEAST_CELL_PX * self.prior.magnification
+            || self.deviation_px() < MISLEADING_CELLS * cell_px
+    }
+
+    /// Whether the print could mislead a fit to another disparity.
+    fn may_mislead(&self, print: &BodyPrint, found: &Alignment) -> bool {
+        let cell_px = self.cell_px(print, &found.camera_from_markers);
+        self.deviation_px() >= MISLEADING_CELLS * cell_px
+    }
+
+    /// Deviation of the disparity between the halves, pixels of the patch.
+    fn deviation_px(&self) -> f64 {
+        self.patch.halves.most_uncertain().1 * self.patch.pinhole.focal_px
     }
 
     /// Other starts for uncertain constants of a stitched camera: half a deviation and one to either side. A track
