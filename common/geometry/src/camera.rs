@@ -22,7 +22,7 @@ pub use self::lens::{Lens, LensCurve};
 pub use self::pair::LensRay;
 pub use self::pixel::SpherePixel;
 pub use self::stereographic::Stereographic;
-pub use self::stitch::{Half, ShownBy, Stitch, touches_strip};
+pub use self::stitch::{Half, ShownBy, Stitch};
 use crate::Ray;
 
 /// A spherical camera: its model, the sides of its image, and the distance for which it is exact.

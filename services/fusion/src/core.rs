@@ -97,7 +97,7 @@ impl<P: AsRef<[u8]>> Core<P> {
         let (targets, ego, exposure) = self.tracker.saved(published);
         let CameraState { response, stitching, .. } = self.tracker.camera();
         let response = response.learned();
-        let lenses = stitching.as_ref().map(StitchEstimate::learned).unwrap_or_default();
+        let lenses = stitching.as_ref().map(StitchEstimate::learned);
         let ended = self.tracker.ended.map(|(order, _)| order).max(self.frames.last_complete);
         let planning = self.planning.clone();
         Snapshot { ended, targets, ego, exposure, response, lenses, planning }
@@ -117,8 +117,8 @@ impl<P: AsRef<[u8]>> Core<P> {
         }
         self.planning.resume(planning);
         self.tracker.camera.response.resume(response);
-        if let Some(stitching) = &mut self.tracker.camera.stitching {
-            stitching.resume(&lenses);
+        if let Some((stitching, lenses)) = self.tracker.camera.stitching.as_mut().zip(lenses) {
+            stitching.resume(lenses);
         }
         self.tracker.resume(targets, ego, exposure)
     }

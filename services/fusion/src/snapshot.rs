@@ -7,6 +7,7 @@
 //! twice.
 
 use anyhow::ensure;
+use nalgebra::{Matrix5, Vector5};
 use serde::{Deserialize, Serialize};
 
 use flockeye_contract::FrameOrder;
@@ -29,8 +30,9 @@ pub(crate) struct Snapshot {
     pub(crate) exposure: (f64, f64),
     /// Response from print: sums of gamma and weight, and the gamma in use.
     pub(crate) response: (f64, f64, Option<f64>),
-    /// Lenses of a stitched camera from bodies across their border; empty for another camera.
-    pub(crate) lenses: Vec<f64>,
+    /// Lenses of a stitched camera from bodies across their border: information about its constants,
+    /// and that times the constants. `None` for another camera.
+    pub(crate) lenses: Option<(Matrix5<f64>, Vector5<f64>)>,
     pub(crate) planning: Planning,
 }
 

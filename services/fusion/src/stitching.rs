@@ -53,8 +53,6 @@ pub(crate) struct StitchEstimate {
     contradictions: u32,
     /// The estimate by which the poses of tracks were corrected last.
     of_tracks: Stitch,
-    /// Whether the constants are known exactly, so that nothing is learned.
-    is_exact: bool,
 }
 
 impl StitchEstimate {
@@ -73,7 +71,6 @@ impl StitchEstimate {
             pending: BTreeMap::new(),
             contradictions: 0,
             of_tracks: assumed,
-            is_exact: false,
         }
     }
 
@@ -81,7 +78,12 @@ impl StitchEstimate {
     pub(crate) fn exact(lens_distance_m: f64, assumed_m: f64) -> Self {
         let exact = Stitch::new(lens_distance_m / 2.0, [0.0; 3]);
         let new = Self::new(Some(lens_distance_m), assumed_m);
-        Self { assumed: exact, current: exact, of_tracks: exact, is_exact: true, ..new }
+        Self { assumed: exact, current: exact, of_tracks: exact, ..new }
+    }
+
+    /// Whether the constants are known exactly, so that nothing is learned.
+    fn is_exact(&self) -> bool {
+        self.assumed.covariance().trace() == 0.0
     }
 
     /// The camera of a view, as its pixels show it.
@@ -109,7 +111,7 @@ impl StitchEstimate {
     /// which they were made.
     pub(crate) fn end_frame(&mut self) -> Option<Stitch> {
         let pending = std::mem::take(&mut self.pending);
-        if pending.is_empty() || self.is_exact {
+        if pending.is_empty() || self.is_exact() {
             return None;
         }
         for seen in pending.into_values() {
@@ -126,8 +128,8 @@ impl StitchEstimate {
         }
         self.update();
         let moved = self.current.constants() - self.of_tracks.constants();
-        let limits = constants_of(MOVED);
-        let has_moved = moved.iter().zip(&limits).any(|(moved, limit)| moved.abs() > *limit);
+        let limits = Stitch::new(0.0, MOVED).covariance().diagonal();
+        let has_moved = moved.iter().zip(&limits).any(|(moved, limit)| moved.powi(2) > *limit);
         has_moved.then(|| std::mem::replace(&mut self.of_tracks, self.current))
     }
 
@@ -152,25 +154,23 @@ impl StitchEstimate {
         let Some(before) = before else { return };
         let Some(both) = (before + self.learned.0).cholesky() else { return };
         let constants = both.solve(&(before * self.assumed.constants() + self.learned.1));
-        let left = Matrix5::from_diagonal(&constants_of(LEFT.map(|deviation| deviation.powi(2))));
-        let of_left = if self.learned.0.trace() > 0.0 { left } else { Matrix5::zeros() };
-        if let Some(current) = Stitch::of(constants, both.inverse() + of_left) {
+        let has_learned = self.learned.0.trace() > 0.0;
+        let left = *Stitch::new(0.0, if has_learned { LEFT } else { [0.0; 3] }).covariance();
+        if let Some(current) = Stitch::of(constants, both.inverse() + left) {
             self.current = current;
         }
     }
 
-    /// What was learned, for the next process: the information by columns, and the moment.
-    pub(crate) fn learned(&self) -> Vec<f64> {
-        self.learned.0.iter().chain(self.learned.1.iter()).copied().collect()
+    /// What was learned, for the next process: the information, and the moment.
+    pub(crate) fn learned(&self) -> (Matrix5<f64>, Vector5<f64>) {
+        self.learned
     }
 
     /// Continues from what another process has learned.
-    pub(crate) fn resume(&mut self, learned: &[f64]) {
-        let (of_matrix, of_vector) = learned.split_at(learned.len().min(25));
-        let is_sound = learned.len() == 30 && learned.iter().all(|it| it.is_finite());
-        if is_sound && !self.is_exact {
-            let information = Matrix5::from_column_slice(of_matrix);
-            self.learned = (information, Vector5::from_column_slice(of_vector));
+    pub(crate) fn resume(&mut self, learned: (Matrix5<f64>, Vector5<f64>)) {
+        let is_sound = learned.0.iter().chain(learned.1.iter()).all(|it| it.is_finite());
+        if is_sound && !self.is_exact() {
+            self.learned = learned;
             self.update();
             self.of_tracks = self.current;
         }
@@ -187,20 +187,16 @@ pub(crate) fn remade(
 ) -> PoseEstimate {
     let place = pose.camera_from_markers.translation.vector;
     let ShownBy::One(half) = ShownBy::of(&place, radius_m) else { return *pose };
+    // `before` may be the camera of a view: only its constants count.
+    let before = now.changed(&(before.constants() - now.constants()));
     let shown = before.shown_from_camera(half, &place) * pose.camera_from_markers;
     let camera_from_markers = now.shown_from_camera(half, &place).inverse() * shown;
     PoseEstimate { camera_from_markers, ..*pose }
 }
 
-/// The five constants' values of one for each kind, as in [`UNKNOWN`].
-fn constants_of([distance, shift, turn]: [f64; 3]) -> Vector5<f64> {
-    Vector5::new(distance, shift, turn, turn, turn)
-}
-
 /// A measurement with the errors of its place. `None` for numbers that no picture gives.
 fn with_place(seen: &SeenStitch) -> Option<SeenStitch> {
-    let of_place = constants_of(OF_PLACE.map(|deviation| deviation.powi(2)));
-    let of_place = Matrix5::from_diagonal(&of_place);
+    let of_place = *Stitch::new(0.0, OF_PLACE).covariance();
     let share = (Matrix5::identity() + seen.information * of_place).try_inverse()?;
     let information = share * seen.information;
     let information = (information + information.transpose()) / 2.0;
@@ -230,7 +226,7 @@ impl fmt::Display for StitchEstimate {
         let distance_mm = self.current.lens_distance_m() * 1e3;
         let deviation_m = self.current.covariance()[(0, 0)].max(0.0).sqrt();
         let is_learned = self.learned.0.trace() > 0.0 && deviation_m < KNOWN_M;
-        if self.is_exact {
+        if self.is_exact() {
             return write!(f, "lenses: {distance_mm:.1} mm apart, as the source has them");
         }
         match (is_learned, self.of_views_m > 0.0) {
@@ -247,7 +243,7 @@ impl fmt::Display for StitchEstimate {
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
-    use nalgebra::Vector3;
+    use nalgebra::{Matrix6, Point3, Translation3, Vector3};
 
     use super::*;
 
@@ -283,10 +279,9 @@ mod tests {
         assert!(off[0].abs() < 5e-4 && off.norm() < 8e-4, "{off}");
         assert!(estimate.to_string().contains("mm apart, learned"), "{estimate}");
         let mut next = StitchEstimate::new(None, 1.5);
-        next.resume(&estimate.learned());
+        next.resume(estimate.learned());
         assert_eq!(next.current(), estimate.current());
-        next.resume(&[f64::NAN; 30]);
-        next.resume(&[1.0; 3]);
+        next.resume((Matrix5::repeat(f64::NAN), Vector5::zeros()));
         assert_eq!(next.current(), estimate.current());
     }
 
@@ -313,6 +308,28 @@ mod tests {
         assert!(off.norm() < 1e-3, "{off}");
     }
 
+    /// Poses of one half move with the constants, whatever view showed them; on the border they stay.
+    #[test]
+    fn poses_are_remade_for_what_is_known_now() {
+        let [before, now] = [Vector5::zeros(), TRUTH]
+            .map(|constants| Stitch::of(constants, Matrix5::zeros()).unwrap());
+        let there = Vector3::new(0.5, 0.6, 0.2);
+        let seen = now.shown_from_camera(Half::Ahead, &there);
+        let at = |place: Vector3<f64>| PoseEstimate {
+            camera_from_markers: Translation3::from(place).into(),
+            covariance: Matrix6::identity(),
+        };
+        let shown = (seen * Point3::from(there)).coords;
+        for before in [before, before.seen_at(0.02, 0.7)] {
+            let remade = remade(&at(shown), 0.08, &before, &now).camera_from_markers;
+            // The turn is about the place where the body seemed to be.
+            assert!((remade.translation.vector - there).norm() < 1e-4, "{remade}");
+            assert!((shown - there).norm() > 5e-3);
+        }
+        let border = at(Vector3::new(0.01, 0.8, 0.0));
+        assert_eq!(remade(&border, 0.08, &before, &now), border);
+    }
+
     #[test]
     fn a_stated_distance_is_that_of_the_views() {
         let stated = StitchEstimate::new(Some(0.016), 1.5);
@@ -322,7 +339,6 @@ mod tests {
         assert_eq!(stated.to_string(), "lenses: 16.0 mm apart, configured");
     }
 
-    /// A body at one distance for long leaves what others have shown.
     #[test]
     fn a_stated_distance_is_corrected_in_the_cameras_own_frame() {
         let mut estimate = StitchEstimate::new(Some(0.016), 1.5);

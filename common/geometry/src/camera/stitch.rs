@@ -98,13 +98,6 @@ fn rim(place_in_camera: &Vector3<f64>, radius_m: f64, half: Half) -> Vector3<f64
     }
 }
 
-/// Whether the strip in which both halves may show touches a body of `radius_m`.
-pub fn touches_strip(place_in_camera: &Vector3<f64>, radius_m: f64) -> bool {
-    let [ahead, behind] =
-        Half::ALL.map(|half| Half::unmixed(&rim(place_in_camera, radius_m, half)));
-    ahead.is_none() || ahead != behind
-}
-
 /// The constants of a stitched camera, and how well they are known.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Stitch {

@@ -5,7 +5,7 @@
 //! the fit, because the two parts of the body's print show them. Pixels in which both lenses may show
 //! are left out.
 
-use flockeye_geometry::camera::{Half, ShownBy, Stitch, touches_strip};
+use flockeye_geometry::camera::{Half, ShownBy, Stitch};
 use nalgebra::{Isometry3, Matrix3, Matrix5, Matrix6, SMatrix, UnitQuaternion, Vector3, Vector5};
 
 use super::alignment::SeenStitch;
@@ -30,21 +30,14 @@ pub(super) struct Halves {
     /// Whether all of the body lies where both lenses may show. It is taken to be between where they
     /// show it.
     is_mixed: bool,
-    /// Whether no pixel of the body is left out, because none, or all of them, may show both lenses.
-    is_beside_strip: bool,
 }
 
 impl Halves {
     /// The halves that show a body with its middle at this place in the camera frame.
     pub(super) fn of(picture: &Picture<'_>, place: &Vector3<f64>, radius_m: f64) -> Self {
         let camera_from_patch = picture.view.camera_from_view;
-        let whole = Self {
-            shown: vec![Half::Ahead],
-            camera_from_patch,
-            stitch: None,
-            is_mixed: false,
-            is_beside_strip: true,
-        };
+        let whole =
+            Self { shown: vec![Half::Ahead], camera_from_patch, stitch: None, is_mixed: false };
         let Some(stitch) = picture.stitch else { return whole };
         let (size, deviation) = stitch.extent_rad(place);
         if (size + deviation) * picture.pixels_per_radian < NEGLIGIBLE_PX {
@@ -57,8 +50,7 @@ impl Halves {
             ShownBy::Mixed => whole.shown.clone(),
         };
         let is_mixed = shown_by == ShownBy::Mixed;
-        let is_beside_strip = is_mixed || !touches_strip(place, radius_m);
-        Self { shown, stitch: Some((stitch, *place)), is_mixed, is_beside_strip, ..whole }
+        Self { shown, stitch: Some((stitch, *place)), is_mixed, ..whole }
     }
 
     /// Number of halves: one or two.
@@ -96,20 +88,15 @@ impl Halves {
         self.shown_from_patch(half, change).inverse() * shown
     }
 
-    /// Number of the half that shows in the pixel of this direction. `None` if both may.
+    /// Whether the pixel of this direction shows the half of this number, and no other. Where there is
+    /// one picture, or all of the body may show both lenses, every pixel does.
     #[inline]
-    pub(super) fn at(&self, direction_in_patch: &Vector3<f64>) -> Option<u8> {
-        if self.is_beside_strip {
-            return Some(0);
+    pub(super) fn shows(&self, half: u8, direction_in_patch: &Vector3<f64>) -> bool {
+        if self.stitch.is_none() || self.is_mixed {
+            return true;
         }
-        let half = Half::unmixed(&(self.camera_from_patch * direction_in_patch))?;
-        (0..).zip(&self.shown).find(|(_, other)| **other == half).map(|(number, _)| number)
-    }
-
-    /// Whether no pixel of the body is left out.
-    #[inline]
-    pub(super) fn is_beside_strip(&self) -> bool {
-        self.is_beside_strip
+        let unmixed = Half::unmixed(&(self.camera_from_patch * direction_in_patch));
+        unmixed.is_some() && unmixed == self.shown.get(usize::from(half)).copied()
     }
 
     /// Whether each half shows a good part of the body.

@@ -182,9 +182,7 @@ impl Patch {
     /// Whether a pixel shows this half of a stitched picture, and no other.
     #[inline]
     pub(super) fn shows_half(&self, half: u8, x: usize, y: usize) -> bool {
-        self.halves.is_beside_strip()
-            || self.halves.at(&self.pinhole.direction(Vector2::new(x as f64, y as f64)))
-                == Some(half)
+        self.halves.shows(half, &self.pinhole.direction(Vector2::new(x as f64, y as f64)))
     }
 
     /// Whether the radiance of a pixel may exceed the stated value.

@@ -44,6 +44,8 @@ pub(crate) struct UnderWay {
     pub(crate) target: usize,
     /// Distance for which the view's rays are exact, metres.
     pub(crate) rays_m: f64,
+    /// The lenses of a stitched camera, as they are known in that frame.
+    pub(crate) stitch: Option<Stitch>,
     /// Whether the target was measured in that frame meanwhile.
     pub(crate) is_cancelled: bool,
 }
@@ -68,8 +70,8 @@ impl BackgroundSlot {
         let Some(job) = Job::new(inputs) else { return false };
         self.refused.remove(&target);
         self.last = Some(target);
-        let rays_m = job.view.rays_m;
-        self.under_way = Some(UnderWay { time, target, rays_m, is_cancelled: false });
+        let (rays_m, stitch) = (job.view.rays_m, job.view.stitch);
+        self.under_way = Some(UnderWay { time, target, rays_m, stitch, is_cancelled: false });
         self.to_run = Some(job);
         true
     }

@@ -9,6 +9,7 @@ use crate::decide::outcome::Outcome;
 use crate::frame::parts::Part;
 use crate::measure::FrameTime;
 use crate::measure::background::{BackgroundSlot, Job, UnderWay};
+use crate::stitching::remade;
 
 impl Tracker {
     /// Returns the background pass to run now.
@@ -52,7 +53,7 @@ impl Tracker {
     /// frame, the pose must fit the track, replace it or begin one, and nothing of it is published.
     fn take_in_answer(
         &mut self,
-        &UnderWay { time, target, rays_m, .. }: &UnderWay,
+        &UnderWay { time, target, rays_m, stitch, .. }: &UnderWay,
         trial: &Trial,
         part: Option<&mut Part>,
     ) -> (Option<Update>, Outcome) {
@@ -69,7 +70,12 @@ impl Tracker {
         let Some(measurement) = trial.measurement() else {
             return (None, Outcome::Nothing);
         };
-        let measurement = self.corrected(measurement, rays_m, target, time.at_s);
+        let mut measurement = self.corrected(measurement, rays_m, target, time.at_s);
+        // More may be known of the lenses since that frame.
+        if let Some((before, now)) = stitch.zip(self.camera.stitching.as_ref()) {
+            let radius_m = self.targets[target].body.radius();
+            measurement.pose = remade(&measurement.pose, radius_m, &before, now.current());
+        }
         if !is_late && !measurement.is_usable_alone() {
             // A better pose may be found until the frame ends.
             part.into_iter().for_each(|part| part.imprecise = Some(measurement));
